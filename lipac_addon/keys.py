@@ -1,0 +1,40 @@
+"""The key that finds an instance again in Blender: names and indices, never references.
+
+A `Records` array of KEY, one per instance of `core.scene.Instances`, beside a table of names:
+
+kind: how Blender makes the instance (`Kind`).
+host: name of the object at the top that instances it (-1 for a real object). object: name of the object that is instanced (-1: a geometry without an object).
+path: index at each level of instancing, outermost first, -1 padded. For geometry nodes path[0] is the row in the host's instance point cloud, that is, what a
+mask of the write-back addresses; deeper levels index nested instance clouds, or the object's place in an instanced collection.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from ..core.scene import Records
+
+
+class Kind(IntEnum):
+    """How Blender makes the instance: decides by what means it can be hidden."""
+
+    OBJECT = 0
+    COLLECTION = 1
+    GEOMETRY_NODES = 2
+    PARTICLE = 3
+    DUPLI = 4  # vertex and face instancing
+
+
+MAX_DEPTH = 8
+KEY = np.dtype([("kind", "u1"), ("host", "i4"), ("object", "i4"), ("path", "i4", (MAX_DEPTH,))], align=True)
+
+
+@dataclass(frozen=True)
+class Keys:
+    """records: (N,) of KEY; names: full names of objects (library path and name joined by a newline for linked ones)."""
+
+    records: Records
+    names: tuple[str, ...]

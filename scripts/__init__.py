@@ -1,0 +1,1 @@
+"""The commands: thin, each usable from a shell and inside `blender -b FILE -P`."""
