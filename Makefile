@@ -1,0 +1,38 @@
+# make install   .venv with the `lipac` command
+# make demo      build the demo scene, cull it, render it full and culled: out/demo
+# make test      ruff, mypy, every test
+# PYTHON=/path/to/python picks the interpreter (default: a Python 3.13, else 3.11), VENV=folder the environment.
+
+VENV ?= .venv
+BIN := $(VENV)/bin
+.PHONY: install demo test smoke check clean
+.DELETE_ON_ERROR:
+
+install: $(VENV)/.installed
+demo: install
+	$(BIN)/python -m lipac.scripts.make_demo -o out/demo
+test: check
+	$(BIN)/python -m pytest
+smoke: $(VENV)/.installed-test
+	$(BIN)/lipac --help > /dev/null
+	$(BIN)/python -m pytest -m smoke
+
+check: $(VENV)/.installed-test
+	$(BIN)/ruff check .
+	MYPYPATH=$(VENV)/src $(BIN)/mypy -p lipac
+
+# A changed pyproject.toml installs anew.
+$(VENV)/.installed: pyproject.toml | $(VENV)/src/lipac
+	$(BIN)/python -m pip install --disable-pip-version-check -q -e .
+	touch $@
+$(VENV)/.installed-test: $(VENV)/.installed
+	$(BIN)/python -m pip install --disable-pip-version-check -q -e '.[test]'
+	touch $@
+
+$(BIN)/python:
+	python="$(PYTHON)"; [ -n "$$python" ] || python=$$(sh scripts/find_python.sh 3.13 3.11) && "$$python" -m venv $(VENV)
+# The checkout under the package's name, for type checking (an editable install is invisible to mypy).
+$(VENV)/src/lipac: | $(BIN)/python
+	mkdir -p $(@D) && ln -sfn "$(CURDIR)" $@
+clean:
+	rm -rf .venv .venv311 out
