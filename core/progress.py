@@ -1,0 +1,88 @@
+"""Progress of long work: a callback that the work calls, and a terminal line with the time left.
+
+Work takes `progress: Progress` and calls it as often as it likes, `progress(fraction, what)`: fraction in [0, 1] of the whole work, what in a few words.
+It never prints by itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TextIO
+
+Progress = Callable[[float, str], None]
+"""`progress(fraction, what)`: how much of the work is done, 0 to 1, and what is being done."""
+
+
+def silent(fraction: float, what: str) -> None:
+    """A `Progress` that shows nothing."""
+
+
+def part(progress: Progress, low: float, high: float, prefix: str = "") -> Progress:
+    """A `Progress` for a part of the work: its 0 to 1 is low to high of the whole; `prefix` goes before what it says."""
+    return lambda fraction, what: progress(low + (high - low) * fraction, prefix + what)
+
+
+def clock(seconds: float) -> str:
+    """Seconds as people read them: 0.4 s, 12 s, 3:07, 1:02:03."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes, s = divmod(round(seconds), 60)
+    hours, m = divmod(minutes, 60)
+    return f"{hours}:{m:02}:{s:02}" if hours else f"{m}:{s:02}"
+
+
+class Terminal:
+    """A `Progress` that writes to a text stream: one line that is rewritten on a terminal, a line every few seconds into a file or pipe.
+
+    The time left is extrapolated from the fraction done since the first call. `close()` (or leaving the `with` block) clears the line.
+    """
+
+    def __init__(self, stream: TextIO, now: Callable[[], float] = time.monotonic) -> None:
+        """stream: where to write, flushed after each line; now: the clock in seconds."""
+        self.stream = stream
+        self.now = now
+        self.rewrite = stream.isatty()
+        self.interval = 0.1 if self.rewrite else 5.0
+        self.start = now()
+        self.first: float | None = None
+        self.last = self.start if not self.rewrite else -1e9
+        self.width = 0
+
+    def __call__(self, fraction: float, what: str) -> None:
+        now = self.now()
+        if self.first is None:
+            self.start, self.first = now, fraction
+        if now - self.last < self.interval:
+            return
+        self.last = now
+        self._write(self.line(fraction, what, now))
+
+    def line(self, fraction: float, what: str, now: float) -> str:
+        """The text of one update: percentage, what is done, time spent and time left."""
+        spent, done = now - self.start, fraction - (self.first or 0.0)
+        left = f", {clock(spent * (1.0 - fraction) / done)} left" if done > 0.01 and spent > 1.0 else ""
+        return f"{100 * min(max(fraction, 0.0), 1.0):3.0f} % {what} ({clock(spent)}{left})"
+
+    def _write(self, text: str) -> None:
+        if self.rewrite:
+            self.stream.write("\r" + text.ljust(self.width))
+            self.width = len(text)
+        else:
+            self.stream.write(text + "\n")
+        self.stream.flush()
+
+    def close(self) -> None:
+        """Clear the line that is being rewritten."""
+        if self.rewrite and self.width:
+            self.stream.write("\r" + " " * self.width + "\r")
+            self.stream.flush()
+            self.width = 0
+
+    def __enter__(self) -> Terminal:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
