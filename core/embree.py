@@ -184,10 +184,13 @@ class Device:
         lib.rtcSetSceneBuildQuality(scene, quality)
         return scene
 
+    def _release(self, scene: int) -> None:
+        lib.rtcReleaseScene(scene)
+
     def commit(self, scene: int, owner: object, doing: str) -> int:
         """Build a scene's structure; it is released when owner is garbage. Returns the bytes that the build left allocated."""
         before = self.bytes
-        weakref.finalize(owner, lib.rtcReleaseScene, scene).atexit = False
+        weakref.finalize(owner, self._release, scene).atexit = False  # the bound method keeps the device, and its counter, until then
         lib.rtcCommitScene(scene)
         self.check(doing)
         return self.bytes - before
