@@ -15,7 +15,6 @@ Color = tuple[float, float, float]
 def material(name: str, color: Color, roughness: float = 0.6, metallic: float = 0.0) -> bpy.types.Material:
     """A Principled material; linear Rec.709 colour."""
     mat = bpy.data.materials.get(name) or bpy.data.materials.new(name)
-    mat.use_nodes = True
     bsdf = mat.node_tree.nodes["Principled BSDF"]
     bsdf.inputs["Base Color"].default_value = (*color, 1.0)
     bsdf.inputs["Roughness"].default_value = roughness
@@ -56,8 +55,8 @@ def scatter(name: str, sources: Sequence[bpy.types.Object], points: np.ndarray, 
     data = bpy.data.meshes.new(name)
     data.vertices.add(len(points))
     data.vertices.foreach_set("co", points.ravel().astype(np.float32))
-    for attribute, type_, values in (("kind", "INT8", kind.astype(np.int8)), ("turn", "FLOAT", turn.astype(np.float32)), ("size", "FLOAT", size.astype(np.float32))):
-        data.attributes.new(attribute, type_, "POINT").data.foreach_set("value", values)
+    for attribute, type_, values in (("kind", "INT8", kind), ("turn", "FLOAT", turn), ("size", "FLOAT", size)):
+        data.attributes.new(attribute, type_, "POINT").data.foreach_set("value", values.astype(np.int8 if type_ == "INT8" else np.float32))
     host = bpy.data.objects.new(name, data)
     bpy.context.scene.collection.objects.link(host)
     host.modifiers.new("Scatter", "NODES").node_group = _scatter_nodes(name, library)
@@ -90,8 +89,15 @@ def _scatter_nodes(name: str, library: bpy.types.Collection) -> bpy.types.NodeTr
     parts.inputs["Separate Children"].default_value = True
     parts.inputs["Reset Children"].default_value = True
     place.inputs["Pick Instance"].default_value = True
-    for a, b in ((source.outputs[0], place.inputs["Points"]), (parts.outputs[0], place.inputs["Instance"]), (attribute("kind", "INT", -60), place.inputs["Instance Index"]),
-                 (attribute("turn", "FLOAT", -220), angle.inputs["Z"]), (angle.outputs[0], place.inputs["Rotation"]),
-                 (attribute("size", "FLOAT", -380), place.inputs["Scale"]), (place.outputs[0], sink.inputs[0])):
-        tree.links.new(a, b)
+    links = (
+        (source.outputs[0], place.inputs["Points"]),
+        (parts.outputs[0], place.inputs["Instance"]),
+        (attribute("kind", "INT", -60), place.inputs["Instance Index"]),
+        (attribute("turn", "FLOAT", -220), angle.inputs["Z"]),
+        (angle.outputs[0], place.inputs["Rotation"]),
+        (attribute("size", "FLOAT", -380), place.inputs["Scale"]),
+        (place.outputs[0], sink.inputs[0]),
+    )
+    for output, target in links:
+        tree.links.new(output, target)
     return tree

@@ -76,7 +76,10 @@ def _facade(s: Solid, centres: F64, sills: F64, window: tuple[float, float], eav
         strip = np.stack([_points(ax, face, az), _points(bx, face, bz), _points(bx, inner, bz), _points(ax, inner, az)], 1)
         s.quads(strip[:, ::-1] if back else strip, TRIM)
     if back:
-        s.quads([[[-6, 12, 0], [-6, 0, 0], [-6, 0, eaves], [-6, 12, eaves]], [[6, 0, 0], [6, 12, 0], [6, 12, eaves], [6, 0, eaves]]], WALL)
+        low, high = -WIDTH / 2, WIDTH / 2
+        left = [(low, DEPTH, 0.0), (low, 0.0, 0.0), (low, 0.0, eaves), (low, DEPTH, eaves)]
+        right = [(high, 0.0, 0.0), (high, DEPTH, 0.0), (high, DEPTH, eaves), (high, 0.0, eaves)]
+        s.quads(np.array([left, right]), WALL)
         return
     bar, near, far = 0.09, inner - 0.1, inner + 0.01
     middle = (x0 + x1) / 2
@@ -109,7 +112,9 @@ def _shop(s: Solid, rng: np.random.Generator) -> None:
     for k in range(stripes):
         a, b = edges[k], edges[k + 1]
         cloth = ACCENT if k % 2 else FRAME
-        s.quads([[[a, -1.3, 2.55], [b, -1.3, 2.55], [b, -0.12, 3.3], [a, -0.12, 3.3]], [[a, -1.3, 2.3], [b, -1.3, 2.3], [b, -1.3, 2.55], [a, -1.3, 2.55]]], cloth)
+        top_cloth = [[a, -1.3, 2.55], [b, -1.3, 2.55], [b, -0.12, 3.3], [a, -0.12, 3.3]]
+        valance = [[a, -1.3, 2.3], [b, -1.3, 2.3], [b, -1.3, 2.55], [a, -1.3, 2.55]]
+        s.quads(np.array([top_cloth, valance]), cloth)
 
 
 def _balconies(s: Solid, x: F64, z: F64, half: float) -> None:
@@ -201,7 +206,7 @@ def tree(rng: np.random.Generator, height: float, leaves: int) -> Solid:
     s.column((0, 0, 0), (0.2, 0.13), height * 0.5, 0)
     for _ in range(5):
         tip = np.array([rng.uniform(-1, 1), rng.uniform(-1, 1), height * rng.uniform(0.65, 0.85)])
-        foot = np.array([[-0.06, -0.06, 0], [0.06, -0.06, 0], [0.06, 0.06, 0], [-0.06, 0.06, 0]]) + (0, 0, height * 0.42)
+        foot = np.array([[-0.06, -0.06, 0], [0.06, -0.06, 0], [0.06, 0.06, 0], [-0.06, 0.06, 0]]) + np.array([0, 0, height * 0.42])
         s.frustum(foot, foot * (0.4, 0.4, 0) + tip, 0)
     blobs = 7
     for k in range(blobs):
@@ -278,10 +283,10 @@ def clock_tower() -> Solid:
         s.column(centre, (2.1, 2.1), 0.15, TRIM, 32, axis)
         centre[axis] = at - 0.04
         s.column(centre, (1.85, 1.85), 0.23, FRAME, 32, axis)
-    for y in (-4.32, 4.22):
-        s.boxes((-0.1, y, 34.8), (0.1, y + 0.1, 36.3), ROOF)
-        s.boxes((-0.1, y, 34.7), (1.1, y + 0.1, 34.9), ROOF)
+    for front in (-4.32, 4.22):
+        s.boxes((-0.1, front, 34.8), (0.1, front + 0.1, 36.3), ROOF)
+        s.boxes((-0.1, front, 34.7), (1.1, front + 0.1, 34.9), ROOF)
     base = np.array([[-4.4, -4.4, 37.6], [4.4, -4.4, 37.6], [4.4, 4.4, 37.6], [-4.4, 4.4, 37.6]])
-    s.frustum(base, base * (0.35, 0.35, 0) + (0, 0, 43), ROOF)
-    s.frustum(base * (0.35, 0.35, 0) + (0, 0, 43), base * (0.01, 0.01, 0) + (0, 0, 50), ACCENT)
+    s.frustum(base, base * (0.35, 0.35, 0) + np.array([0, 0, 43]), ROOF)
+    s.frustum(base * (0.35, 0.35, 0) + np.array([0, 0, 43]), base * (0.01, 0.01, 0) + np.array([0, 0, 50]), ACCENT)
     return s

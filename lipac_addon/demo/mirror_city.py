@@ -1,7 +1,7 @@
 """`mirror-city`: the case that light path guided culling is about.
 
-A camera stands in a street and looks into a large mirror. It sees a little of the street before it and, in the mirror, the street behind it; rows of houses close
-both, and the mirror hides the rest. Beyond the rows the city goes on for as many instances as asked: the picture stays the same, the scene grows.
+A camera stands in a street and looks into a large mirror. It sees a little of the street before it and, in the mirror, the street behind it; rows of houses
+close both, and the mirror hides the rest. Beyond the rows the city goes on for as many instances as asked: the picture stays the same, the scene grows.
 
 Houses, trees, cars, lamps, benches and tubs are instances on the points of one geometry-nodes object, in order of their distance; the row of an instance tells
 nothing about whether it is seen. Street, tower and mirror are objects.
@@ -30,7 +30,10 @@ MIRROR = (1.0, 15.0)  # middle of its foot
 MIRROR_SIZE = (13.0, 7.6)
 MIRROR_TURN = math.radians(5.0)
 
-_WALLS: tuple[Color, ...] = ((0.52, 0.18, 0.11), (0.75, 0.62, 0.42), (0.62, 0.34, 0.16), (0.55, 0.58, 0.60), (0.72, 0.45, 0.35), (0.36, 0.45, 0.52), (0.78, 0.72, 0.60), (0.45, 0.16, 0.13))
+_WALLS: tuple[Color, ...] = (
+    (0.52, 0.18, 0.11), (0.75, 0.62, 0.42), (0.62, 0.34, 0.16), (0.55, 0.58, 0.60),
+    (0.72, 0.45, 0.35), (0.36, 0.45, 0.52), (0.78, 0.72, 0.60), (0.45, 0.16, 0.13),
+)
 _ACCENTS: tuple[Color, ...] = ((0.05, 0.22, 0.18), (0.45, 0.05, 0.05), (0.05, 0.10, 0.30), (0.50, 0.28, 0.03))
 _PAINTS: tuple[Color, ...] = ((0.60, 0.03, 0.02), (0.03, 0.12, 0.40), (0.75, 0.75, 0.72), (0.03, 0.03, 0.035), (0.85, 0.55, 0.05))
 _LEAVES: tuple[Color, ...] = ((0.10, 0.25, 0.04), (0.20, 0.30, 0.03), (0.45, 0.20, 0.02))
@@ -82,20 +85,23 @@ def _street_rows(rng: np.random.Generator) -> F64:
     out = []
     y = np.arange(SOUTH + WIDTH / 2, NORTH, WIDTH)
     for side in (-1, 1):
-        kinds = np.concatenate([rng.permutation(TOWN_HOUSES) for _ in range(len(y) // TOWN_HOUSES + 1)])[: len(y)]
-        out.append(_rows(side * HALF_STREET, y, kinds, -side * math.pi / 2))
+        facing, along = -side * math.pi / 2, side * math.pi / 2  # towards the road, and in the direction of its traffic
+        houses = np.concatenate([rng.permutation(TOWN_HOUSES) for _ in range(len(y) // TOWN_HOUSES + 1)])[: len(y)]
         trees = np.arange(SOUTH + 7, NORTH - 4, 11.5)
         trees = trees[np.abs(trees - CAMERA[1]) > 6]
-        out.append(_rows(side * 8.2 + rng.uniform(-0.2, 0.2, len(trees)), trees, _TREE + rng.integers(len(_LEAVES), size=len(trees)), rng.uniform(0, math.tau, len(trees)),
-                         rng.uniform(0.75, 1.1, len(trees))))
-        out.append(_rows(side * 7.0, np.arange(SOUTH + 3, NORTH, 23.0), _LAMP, math.pi if side > 0 else 0.0))
+        n = len(trees)
         cars = np.arange(SOUTH + 4, NORTH - 4, 6.2)
         cars = cars[(rng.uniform(size=len(cars)) < 0.7) & (np.abs(cars - MIRROR[1]) > 7)]
-        out.append(_rows(side * 5.2, cars + rng.uniform(-0.4, 0.4, len(cars)), _CAR + rng.integers(len(_PAINTS), size=len(cars)), side * math.pi / 2 + rng.normal(0, 0.03, len(cars))))
-        benches = np.arange(SOUTH + 13, NORTH - 6, 17.0)
-        out.append(_rows(side * 10.0, benches, _BENCH, -side * math.pi / 2))
+        c = len(cars)
         tubs = np.arange(SOUTH + 6, NORTH - 3, 6.0)
-        out.append(_rows(side * 10.3, tubs, _TUB, rng.uniform(0, math.tau, len(tubs)), rng.uniform(0.7, 1.0, len(tubs))))
+        out += [
+            _rows(side * HALF_STREET, y, houses, facing),
+            _rows(side * 8.2, trees, _TREE + rng.integers(len(_LEAVES), size=n), rng.uniform(0, math.tau, n), rng.uniform(0.75, 1.1, n)),
+            _rows(side * 7.0, np.arange(SOUTH + 3, NORTH, 23.0), _LAMP, math.pi if side > 0 else 0.0),
+            _rows(side * 5.2, cars + rng.uniform(-0.4, 0.4, c), _CAR + rng.integers(len(_PAINTS), size=c), along + rng.normal(0, 0.03, c)),
+            _rows(side * 10.0, np.arange(SOUTH + 13, NORTH - 6, 17.0), _BENCH, facing),
+            _rows(side * 10.3, tubs, _TUB, rng.uniform(0, math.tau, len(tubs)), rng.uniform(0.7, 1.0, len(tubs))),
+        ]
     across = np.arange(-1.5, 2) * WIDTH
     out.append(_rows(across, SOUTH, rng.permutation(TOWN_HOUSES)[:4], math.pi))
     out.append(_rows(across, NORTH, rng.permutation(TOWN_HOUSES)[:4], 0.0))
@@ -136,9 +142,15 @@ def _block(rng: np.random.Generator, houses: int) -> F64:
     for side in (-1, 1):
         turn = 0.0 if side < 0 else math.pi
         out.append(_rows(x, side * DEPTH, 0, turn))
-        for kind, start, step, y, angle in ((_TREE, 4.0, 9.0, 2.2, 0.0), (_CAR, 2.5, 5.5, 4.4, 0.0), (_LAMP, 0.5, 20.0, 3.2, side * math.pi / 2), (_BENCH, 7.0, 15.0, 1.0, turn), (_TUB, 1.5, 6.0, 0.7, 0.0)):
-            at = np.arange(-span + start, span, step)
-            out.append(_rows(at, side * (DEPTH + y), kind, angle))
+        furniture = (
+            (_TREE, 4.0, 9.0, 2.2, 0.0),
+            (_CAR, 2.5, 5.5, 4.4, 0.0),
+            (_LAMP, 0.5, 20.0, 3.2, side * math.pi / 2),
+            (_BENCH, 7.0, 15.0, 1.0, turn),
+            (_TUB, 1.5, 6.0, 0.7, 0.0),
+        )
+        for kind, start, step, y, angle in furniture:
+            out.append(_rows(np.arange(-span + start, span, step), side * (DEPTH + y), kind, angle))
     return np.concatenate(out)
 
 
@@ -159,14 +171,16 @@ def _sources(rng: np.random.Generator) -> list[bpy.types.Object]:
     for k in range(TOWN_HOUSES + SUBURB_HOUSES):
         town = k < TOWN_HOUSES
         roof = ("mansard", "flat", "gable")[k % 3]
-        solid = parts.building(rng, storeys=(4 + k % 3) if town else 2 + k % 2, bays=(3, 4, 5)[(k // 2) % 3], roof=roof, balconies=k % 4 in (0, 3) and town, arched=k % 2 == 1)
+        storeys = 4 + k % 3 if town else 2 + k % 2
+        solid = parts.building(rng, storeys, bays=(3, 4, 5)[(k // 2) % 3], roof=roof, balconies=town and k % 4 in (0, 3), arched=k % 2 == 1)
         wall = material(f"Wall {k % len(_WALLS)}", _WALLS[k % len(_WALLS)], 0.85)
         accent = material(f"Accent {k % len(_ACCENTS)}", _ACCENTS[k % len(_ACCENTS)], 0.4)
         add("Town house" if town else "Suburb house", solid, wall, stone, glass, frame, tiles if roof == "gable" else slate, accent)
     add("Lamp", parts.lamp(), iron, material("Lamp glass", (0.9, 0.85, 0.7), 0.2))
     for k, color in enumerate(_LEAVES):
         add("Tree", parts.tree(rng, height=8.0, leaves=1750), bark, material(f"Leaves {k}", color, 0.7), iron)
-    tyre, chrome, tinted = material("Tyre", (0.015, 0.015, 0.015), 0.8), material("Chrome", (0.75, 0.75, 0.75), 0.15, 1.0), material("Tinted glass", (0.01, 0.012, 0.015), 0.05)
+    tyre, tinted = material("Tyre", (0.015, 0.015, 0.015), 0.8), material("Tinted glass", (0.01, 0.012, 0.015), 0.05)
+    chrome = material("Chrome", (0.75, 0.75, 0.75), 0.15, 1.0)
     for k, color in enumerate(_PAINTS):
         add("Van" if k == 4 else "Car", parts.car(van=k == 4), material(f"Paint {k}", color, 0.25), tinted, tyre, chrome)
     add("Bench", parts.bench(), wood, iron)
@@ -192,16 +206,21 @@ def _street(scene: bpy.types.Scene, reach: float) -> None:
         kerb = sorted((side * 6.4, side * 6.15))
         street.boxes((kerb[0], SOUTH, 0), (kerb[1], NORTH, 0.16), 1)
         joints = np.arange(SOUTH, NORTH, 2.0)
-        street.boxes(np.stack([np.full(len(joints), inner), joints, np.full(len(joints), 0.13)], 1), np.stack([np.full(len(joints), outer), joints + 0.05, np.full(len(joints), 0.143)], 1), 1)
+        street.boxes(_column(inner, joints, 0.13), _column(outer, joints + 0.05, 0.143), 1)
     dashes = np.arange(SOUTH + 2, NORTH - 3, 6.0)
-    street.boxes(np.stack([np.full(len(dashes), -0.08), dashes, np.full(len(dashes), 0.0)], 1), np.stack([np.full(len(dashes), 0.08), dashes + 3, np.full(len(dashes), 0.006)], 1), 2)
+    street.boxes(_column(-0.08, dashes, 0.0), _column(0.08, dashes + 3, 0.006), 2)
     for y in (4.0, -40.0):  # zebra crossings
         x = np.arange(-5.6, 5.6, 1.0)
-        street.boxes(np.stack([x, np.full(len(x), y), np.zeros(len(x))], 1), np.stack([x + 0.5, np.full(len(x), y + 3), np.full(len(x), 0.008)], 1), 2)
-    _object(scene, "Street", street, material("Paving", (0.36, 0.34, 0.31), 0.8), material("Kerb", (0.22, 0.21, 0.20), 0.8), material("Road paint", (0.75, 0.75, 0.72), 0.6))
-    tower = _object(scene, "Clock tower", parts.clock_tower(), material("Wall 6", _WALLS[6], 0.85), material("Stone", (0.62, 0.58, 0.50), 0.8), material("Window", (0.02, 0.03, 0.04), 0.04),
-                    material("Frame", (0.80, 0.78, 0.72), 0.4), material("Slate", (0.07, 0.08, 0.10), 0.5), material("Copper", (0.12, 0.35, 0.28), 0.6))
+        street.boxes(_column(x, y, 0.0), _column(x + 0.5, y + 3, 0.008), 2)
+    paint = material("Road paint", (0.75, 0.75, 0.72), 0.6)
+    _object(scene, "Street", street, material("Paving", (0.36, 0.34, 0.31), 0.8), material("Kerb", (0.22, 0.21, 0.20), 0.8), paint)
+    shared = [bpy.data.materials[name] for name in ("Wall 6", "Stone", "Window", "Frame", "Slate")]
+    tower = _object(scene, "Clock tower", parts.clock_tower(), *shared, material("Copper", (0.12, 0.35, 0.28), 0.6))
     tower.location = (6.0, SOUTH - DEPTH - 7.0, 0.0)
+
+
+def _column(x: F64 | float, y: F64 | float, z: float) -> F64:
+    return np.stack(np.broadcast_arrays(x, y, z), 1)
 
 
 def _mirror(scene: bpy.types.Scene) -> None:
@@ -212,12 +231,14 @@ def _mirror(scene: bpy.types.Scene) -> None:
     for inset, depth in ((0.0, 0.22), (0.22, 0.12), (0.4, 0.04)):  # a stepped moulding
         a, b = half + 0.45 - inset, 0.22
         z0, z1 = foot - 0.45 + inset, foot + height + 0.45 - inset
-        for low, high in (((-a, -depth, z0), (-a + b, 0.3, z1)), ((a - b, -depth, z0), (a, 0.3, z1)), ((-a, -depth, z0), (a, 0.3, z0 + b)), ((-a, -depth, z1 - b), (a, 0.3, z1))):
-            s.boxes(low, high, 1)
+        low = [(-a, -depth, z0), (a - b, -depth, z0), (-a, -depth, z0), (-a, -depth, z1 - b)]
+        high = [(-a + b, 0.3, z1), (a, 0.3, z1), (a, 0.3, z0 + b), (a, 0.3, z1)]
+        s.boxes(low, high, 1)
     s.boxes((-half, 0.05, foot), (half, 0.28, foot + height), 2)
     for x in (-half + 1.0, half - 1.0):
         s.boxes((x - 0.25, -0.8, 0), (x + 0.25, 1.4, 0.3), 1)
-    made = _object(scene, "Mirror", s, material("Mirror", (0.95, 0.95, 0.95), 0.0, 1.0), material("Gilding", (0.83, 0.60, 0.22), 0.3, 1.0), material("Backing", (0.10, 0.06, 0.04), 0.8))
+    silver, gilding = material("Mirror", (0.95, 0.95, 0.95), 0.0, 1.0), material("Gilding", (0.83, 0.60, 0.22), 0.3, 1.0)
+    made = _object(scene, "Mirror", s, silver, gilding, material("Backing", (0.10, 0.06, 0.04), 0.8))
     made.location = (*MIRROR, 0.0)
     made.rotation_euler = (0.0, 0.0, MIRROR_TURN)
 
@@ -226,10 +247,9 @@ def _light(scene: bpy.types.Scene) -> None:
     sun = bpy.data.lights.new("Sun", "SUN")
     sun.energy, sun.angle, sun.color = 9.0, math.radians(1.0), (1.0, 0.9, 0.75)
     lamp = bpy.data.objects.new("Sun", sun)
-    lamp.rotation_euler = (math.radians(38), 0.0, math.radians(52))
+    lamp.rotation_euler = (math.radians(36), 0.0, math.radians(-62))  # onto the fronts that the mirror shows
     scene.collection.objects.link(lamp)
     world = bpy.data.worlds.new("Sky")
-    world.use_nodes = True
     background = world.node_tree.nodes["Background"]
     background.inputs["Color"].default_value = (0.38, 0.58, 0.95, 1.0)
     background.inputs["Strength"].default_value = 1.6
