@@ -1,0 +1,89 @@
+"""Culling written back into Blender, so that an unmodified Cycles or EEVEE render benefits, and taken back exactly.
+
+`apply` chooses the means (see docs/write-back.md):
+
+- `hide_render` of an object, where that takes away culled instances only;
+- `hide_render` of a collection, where everything in it is hidden that way;
+- a mask modifier on geometry-nodes hosts, which removes single instances;
+- the render switch of particle systems, as a whole.
+
+Read in the order of use: `references` (who instances whom), `plan` (which means for which instance), `marks` (the record kept in the .blend), `mask` (the
+modifier). Nothing here affects the viewport, and nothing is written to disk.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..keys import Keys
+from . import marks, mask
+from .plan import Plan, make_plan
+
+__all__ = ["WritebackResult", "apply", "restore"]
+
+
+@dataclass(frozen=True)
+class WritebackResult:
+    """What `apply` did.
+
+    removed: (N,) bool, the culled instances that a render no longer meets.
+    kept: culled instances that could not be removed, counted by the reason.
+    objects, collections, hosts, particle_hosts: numbers of hidden objects and collections, of masked geometry-nodes hosts, of emitters switched off.
+    """
+
+    removed: NDArray[np.bool_]
+    kept: dict[str, int]
+    objects: int
+    collections: int
+    hosts: int
+    particle_hosts: int
+
+    def summary(self) -> dict[str, object]:
+        """For the report: plain numbers."""
+        return {
+            "removed": int(np.count_nonzero(self.removed)),
+            "kept": dict(self.kept),
+            "hidden_objects": self.objects,
+            "hidden_collections": self.collections,
+            "masked_hosts": self.hosts,
+            "particle_hosts": self.particle_hosts,
+        }
+
+
+def apply(culled: NDArray[np.bool_], keys: Keys) -> WritebackResult:
+    """Remove culled instances from renders of the open file.
+
+    culled: (N,) bool, True where an instance goes; keys: of the same N instances, extracted with nothing applied.
+    What an earlier call did is taken back first, so calling twice is as calling once. Raises ValueError where the lengths differ.
+    """
+    if len(culled) != len(keys.records):
+        raise ValueError(f"{len(culled)} states for {len(keys.records)} instances")
+    restore()
+    plan = make_plan(culled, keys)
+    _write(plan)
+    return WritebackResult(
+        plan.removed, plan.kept, len(plan.objects), len(plan.collections), len(plan.masks), len({e.name_full for e, _ in plan.particle_modifiers})
+    )
+
+
+def restore() -> bool:
+    """Take back everything that `apply` did in the open file, also when that was saved and loaded since; True where there was something.
+
+    Exact: values, active modifiers, and no data-block or custom property left over. What a user changed since stays as the user set it.
+    """
+    found = mask.remove_all()
+    return marks.take_back() or found
+
+
+def _write(plan: Plan) -> None:
+    marks.hide(plan.objects, plan.collections)
+    for emitter, modifier in plan.particle_modifiers:
+        marks.switch_off(emitter, modifier)
+    for host, rows in plan.masks:
+        mask.add(host, rows)
+    if plan.objects or plan.collections or plan.masks or plan.particle_modifiers:
+        bpy.context.view_layer.update()

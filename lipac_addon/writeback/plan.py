@@ -1,0 +1,232 @@
+"""Which means removes which culled instance: a plan, made without changing anything."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.scene import Records
+from ..keys import Keys, Kind
+from .references import References, instances_others, is_animated, takes_modifiers
+
+Mask = NDArray[np.bool_]
+
+# Why a culled instance stays; the words of the report and of docs/write-back.md
+MISSING = "its object is gone"
+ANIMATED = "render visibility is animated"
+METABALL = "metaballs merge: one cannot be hidden alone"
+MORE = "its object also shows lights, volumes or hair"
+PICKED = "a particle system picks from its collection"
+FEEDS = "its host is itself instanced by another object"
+LINKED = "its host takes no modifier: linked from a library, or of a type without modifiers"
+SHARED = "its object also makes instances that stay"
+NESTED = "other parts of the same nested instance stay"
+PART = "part of a collection instance: the same part stays elsewhere"
+PARTICLE = "single particles cannot be removed"
+DUPLI = "single vertex and face duplicates cannot be removed"
+
+_BY_KIND = {Kind.OBJECT: SHARED, Kind.COLLECTION: PART, Kind.GEOMETRY_NODES: NESTED, Kind.PARTICLE: PARTICLE, Kind.DUPLI: DUPLI}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """objects, collections: to hide; masks: hosts and (R,) bool rows to delete; particle_modifiers: emitters and modifier names to switch off.
+
+    removed: (N,) bool, the instances that go; kept: culled ones that stay, by reason.
+    """
+
+    objects: tuple[bpy.types.Object, ...]
+    collections: tuple[bpy.types.Collection, ...]
+    masks: tuple[tuple[bpy.types.Object, Mask], ...]
+    particle_modifiers: tuple[tuple[bpy.types.Object, str], ...]
+    removed: Mask
+    kept: dict[str, int]
+
+
+def make_plan(culled: Mask, keys: Keys) -> Plan:
+    """The means for culled (N,) bool instances of `keys` in the open file."""
+    if not culled.any():
+        return Plan((), (), (), (), np.zeros(len(culled), bool), {})
+    return _Planner(np.asarray(culled, bool), keys).plan()
+
+
+def deletable_rows(culled: Mask, records: Records, whole: bool) -> Mask:
+    """Rows of one geometry-nodes host that can go: (R,) bool, R one more than the highest row seen.
+
+    culled (N,) bool and records (N,) of KEY of the host's instances; a row is deletable when it has instances and all of them are culled.
+    whole: False keeps rows with nested parts (they may hold lights, which have no instance here).
+    """
+    rows = records["path"][:, 0]
+    seen = np.zeros(int(rows.max()) + 1, bool)
+    seen[rows] = True
+    seen[rows[~culled]] = False
+    if not whole:
+        seen[rows[_deep(records)]] = False
+    return seen
+
+
+def hideable_names(culled: Mask, keys: Keys, members: Mask) -> Mask:
+    """(number of names,) bool: objects whose `hide_render` takes away some instances, all of them culled; members as in `by_source`."""
+    records, count = keys.records, len(keys.names)
+    touched = np.zeros(count, np.int64)
+    live = np.zeros(count, np.int64)
+    for name, rows in (("object", by_source(records, members)), ("host", records["host"] >= 0)):
+        touched += np.bincount(records[name][rows], minlength=count)
+        live += np.bincount(records[name][rows & ~culled], minlength=count)
+    return (touched > 0) & (live == 0)
+
+
+def by_source(records: Records, members: Mask) -> Mask:
+    """(N,) bool: instances that vanish, or may vanish, when the object they show is hidden.
+
+    Objects themselves, vertex and face duplicates, and parts of instanced collections; not what geometry nodes or particles make of a single object.
+    members: (number of names,) bool, the objects that are in an instanced collection.
+    """
+    kind, ob = records["kind"], records["object"]
+    collections = (kind == Kind.COLLECTION) | ((kind == Kind.GEOMETRY_NODES) & _deep(records))
+    return ((kind == Kind.OBJECT) | (kind == Kind.DUPLI) | (collections & members[ob])) & (ob >= 0)
+
+
+def _deep(records: Records) -> Mask:
+    return records["path"][:, 1] >= 0
+
+
+class _Planner:
+    """The steps of `make_plan`; `removed` and `reasons` fill up on the way."""
+
+    def __init__(self, culled: Mask, keys: Keys) -> None:
+        self.culled, self.records, self.names = culled, keys.records, keys.names
+        self.keys = keys
+        self.references = References()
+        self.members = np.array([self.references.in_instanced_collection(_find(name)) for name in keys.names], bool)
+        self.removed = np.zeros(len(culled), bool)
+        self.object_reason: dict[int, str] = {}  # name index: why the object cannot be hidden
+        self.host_reason: dict[int, str] = {}  # name index: why the host cannot be masked or switched off
+
+    def plan(self) -> Plan:
+        hidden = self.hidden_objects()
+        collections, covered = self.hidden_collections(set(hidden.values()))
+        masks = tuple(self.masks(hidden))
+        particles = tuple(self.particle_modifiers(hidden))
+        objects = tuple(ob for ob in hidden.values() if ob not in covered)
+        self.removed &= self.culled
+        return Plan(objects, collections, masks, particles, self.removed, self.kept())
+
+    def hidden_objects(self) -> dict[int, bpy.types.Object]:
+        """Objects to hide by their name index."""
+        hidden = {}
+        for n in np.flatnonzero(hideable_names(self.culled, self.keys, self.members)):
+            ob = _find(self.names[n])
+            reason = self.obstacle(ob)
+            if reason is not None:
+                self.object_reason[int(n)] = reason
+            elif ob is not None and not ob.hide_render:
+                hidden[int(n)] = ob
+        gone = np.zeros(len(self.names), bool)
+        gone[list(hidden)] = True
+        # Nodes may instance an object both alone and in a collection; only the collection minds hide_render, so nothing is claimed for such a source.
+        sure = np.zeros(len(self.names), bool)
+        sure[[n for n, ob in hidden.items() if not self.references.alone_in_nodes(ob)]] = True
+        records = self.records
+        real = records["kind"] == Kind.OBJECT
+        own = np.where(real, gone[records["object"]], sure[records["object"]])  # object -1 reads the last name: ruled out below
+        self.removed |= own & by_source(records, self.members)
+        self.removed |= gone[records["host"]] & (records["host"] >= 0)
+        return hidden
+
+    def obstacle(self, ob: bpy.types.Object | None) -> str | None:
+        """Why hiding an object would not work, or would touch more than it should; None where it can be hidden."""
+        if ob is None:
+            return MISSING
+        if ob.type == "META":
+            return METABALL
+        if self.references.carries_more(ob):
+            return MORE
+        if self.references.picked_by_particles(ob):
+            return PICKED
+        if instances_others(ob) and self.references.feeds(ob):
+            return FEEDS
+        return ANIMATED if is_animated(ob, "hide_render") else None
+
+    def hidden_collections(self, hidden: set[bpy.types.Object]) -> tuple[tuple[bpy.types.Collection, ...], set[bpy.types.Object]]:
+        """The largest collections of the scene in which every object is hidden, and the objects that they cover in all places where these are linked."""
+        found: list[bpy.types.Collection] = []
+        stack = list(bpy.context.scene.collection.children)
+        while stack:
+            collection = stack.pop()
+            contents = collection.all_objects
+            if not collection.hide_render and len(contents) > 1 and self.may_hide(collection) and all(ob in hidden for ob in contents):
+                found.append(collection)
+            else:
+                stack.extend(collection.children)
+        found = list(dict.fromkeys(found))
+        inside = {c for top in found for c in (top, *top.children_recursive)}
+        covered = {ob for top in found for ob in top.all_objects if all(c in inside for c in ob.users_collection)}
+        return tuple(found), covered
+
+    def may_hide(self, collection: bpy.types.Collection) -> bool:
+        """Whether a collection can be hidden: it is local, and neither it nor one below it is used as anything but a place in the outliner."""
+        return not any(c.library or self.references.feeds(c) for c in (collection, *collection.children_recursive))
+
+    def masks(self, hidden: dict[int, bpy.types.Object]) -> Iterator[tuple[bpy.types.Object, Mask]]:
+        """Hosts and rows for the mask modifier."""
+        for n, instances in self.hosts(Kind.GEOMETRY_NODES):
+            if n in hidden or not self.culled[instances].any():
+                continue
+            ob = _find(self.names[n])
+            if ob is None or not takes_modifiers(ob) or self.references.feeds(ob):
+                self.host_reason[n] = MISSING if ob is None else FEEDS if takes_modifiers(ob) else LINKED
+                continue
+            records = self.records[instances]
+            more = self.references.carries_more(ob)
+            rows = deletable_rows(self.culled[instances], records, whole=not more)
+            if more:
+                self.host_reason[n] = MORE
+            if rows.any():
+                self.removed[instances] |= rows[records["path"][:, 0]]
+                yield ob, rows
+
+    def particle_modifiers(self, hidden: dict[int, bpy.types.Object]) -> Iterator[tuple[bpy.types.Object, str]]:
+        """Emitters and particle modifiers to switch off: all of an emitter's instances are culled, the emitter itself stays."""
+        for n, instances in self.hosts(Kind.PARTICLE):
+            if n in hidden or not self.culled[instances].all():
+                continue
+            ob = _find(self.names[n])
+            references = self.references
+            if ob is None or not takes_modifiers(ob) or references.feeds(ob) or references.particle_source(ob) or references.carries_more(ob):
+                self.host_reason[n] = MISSING if ob is None else FEEDS if takes_modifiers(ob) else LINKED
+                continue
+            self.removed[instances] = True
+            for modifier in ob.modifiers:
+                if modifier.type == "PARTICLE_SYSTEM" and modifier.show_render:
+                    yield ob, modifier.name
+
+    def hosts(self, kind: Kind) -> Iterator[tuple[int, NDArray[np.int64]]]:
+        """Name index and instance indices of each host of a kind."""
+        chosen = np.flatnonzero((self.records["kind"] == kind) & (self.records["host"] >= 0))
+        host = self.records["host"][chosen]
+        order = np.argsort(host, kind="stable")
+        numbers, first = np.unique(host[order], return_index=True)
+        for n, instances in zip(numbers, np.split(chosen[order], first[1:]), strict=False):
+            yield int(n), instances
+
+    def kept(self) -> dict[str, int]:
+        """Culled instances that stay, by reason."""
+        rest = self.records[self.culled & ~self.removed]
+        numbers, counts = np.unique(np.stack([rest["kind"], rest["host"], rest["object"]], 1), axis=0, return_counts=True)
+        kept: Counter[str] = Counter()
+        for (kind, host, ob), count in zip(numbers, counts, strict=True):
+            reasons = (self.host_reason.get(int(host)), self.object_reason.get(int(host)), self.object_reason.get(int(ob)))
+            kept[next(filter(None, reasons), _BY_KIND[Kind(int(kind))])] += int(count)
+        return dict(kept.most_common())
+
+
+def _find(name: str) -> bpy.types.Object | None:
+    """An object by its full name: the name, or library path and name joined by a newline."""
+    library, _, local = name.rpartition("\n")
+    return bpy.data.objects.get((local, library or None))
