@@ -273,10 +273,10 @@ def clock_tower() -> Solid:
     for corner in ((-4.2, -4.2), (3.4, -4.2), (-4.2, 3.4), (3.4, 3.4)):
         s.boxes((*corner, 0), (corner[0] + 0.8, corner[1] + 0.8, 38), TRIM)
     s.boxes((-3.6, -3.6, 32.6), (3.6, 3.6, 37), WALL)
-    for z in (10.5, 18.5, 26.5):
+    for sill in (10.5, 18.5, 26.5):
         for t in (-2.2, -0.6, 1.0):
-            s.boxes((t, -4.06, z), (t + 1.2, 4.06, z + 3.4), GLASS)
-            s.boxes((-4.06, t, z), (4.06, t + 1.2, z + 3.4), GLASS)
+            s.boxes((t, -4.06, sill), (t + 1.2, 4.06, sill + 3.4), GLASS)
+            s.boxes((-4.06, t, sill), (4.06, t + 1.2, sill + 3.4), GLASS)
     for axis, at in ((1, -4.2), (1, 4.05), (0, -4.2), (0, 4.05)):
         centre = [0.0, 0.0, 34.8]
         centre[axis] = at
