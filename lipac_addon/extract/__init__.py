@@ -1,0 +1,14 @@
+"""Blender in: what a render of a scene would see, as the arrays of `core.scene`.
+
+    extraction = extract_frame(bpy.context.scene, frame)      # render visibility, render modifiers; baked world
+    extraction.scene, extraction.keys, extraction.warnings
+
+or, in steps: `extract_world` (may render, so before), then `with_render_depsgraph(scene, frame, lambda graph: extract(graph, world))`.
+"""
+
+from .camera import add_framing_camera, frame_camera
+from .depsgraph import with_render_depsgraph
+from .scene import Extraction, extract, extract_frame
+from .world import ExtractedWorld, extract_world
+
+__all__ = ["ExtractedWorld", "Extraction", "add_framing_camera", "extract", "extract_frame", "extract_world", "frame_camera", "with_render_depsgraph"]

@@ -1,0 +1,118 @@
+"""Evaluated meshes: bounds at once, triangles on demand.
+
+A mesh is held as the `GeometrySet` that Blender's Python gives out: it owns its data (shared, not copied, with the evaluated object while that lives), so it
+can be read after the dependency graph is gone. Nothing else of Blender is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.scene import F32, U32, Mesh
+
+LARGEST = 1.8e18  # Embree takes no coordinate beyond this (FLT_LARGE)
+
+
+@dataclass
+class MeshSource:
+    """Where a mesh comes from: its geometry, name for messages, number of material slots that its triangles use, and whether any material needs UVs."""
+
+    geometry: Any  # GeometrySet
+    name: str
+    bounds: F32
+    slot_count: int
+    broken: bool  # has vertices that are not finite
+    needs_uv: bool = False
+
+
+def read(collection: Any, name: str, count: int, width: int = 1, dtype: type = np.float32) -> NDArray[Any]:
+    """`foreach_get` of a bpy collection: (count, width), or (count,) where width is 1."""
+    out: NDArray[Any] = np.empty(count * width, dtype)
+    if count:
+        collection.foreach_get(name, out)
+    return out if width == 1 else out.reshape(count, width)
+
+
+def _positions(mesh: Any) -> F32:
+    return read(mesh.attributes["position"].data, "vector", len(mesh.vertices), 3)
+
+
+def _usable(positions: F32) -> NDArray[np.bool_]:
+    with np.errstate(invalid="ignore"):
+        return np.asarray((np.abs(positions) <= LARGEST).all(axis=1))
+
+
+def describe(geometry: Any, name: str) -> MeshSource | None:
+    """Bounds and slots of the mesh in a GeometrySet; None when it has no faces or no usable vertex."""
+    mesh = geometry.mesh
+    if mesh is None or len(mesh.polygons) == 0:
+        return None
+    positions = _positions(mesh)
+    bounds = np.stack((positions.min(axis=0), positions.max(axis=0)))
+    broken = not np.abs(bounds).max() <= LARGEST  # also true for NaN, which min and max hand on
+    if broken:
+        positions = positions[_usable(positions)]
+        if not len(positions):
+            return None
+        bounds = np.stack((positions.min(axis=0), positions.max(axis=0)))
+    index = mesh.attributes.get("material_index")
+    slots = int(read(index.data, "value", len(mesh.polygons), dtype=np.int32).max()) + 1 if index is not None and index.domain == "FACE" else 1
+    return MeshSource(geometry, name, bounds.astype(np.float32), min(max(slots, 1), 1 << 16), broken)
+
+
+def _uv(mesh: Any, name: str) -> F32:
+    """(loops, 2) of a UV map; index 0's name "" is the active render map. Zeros where the mesh has none, as in Cycles."""
+    layers = mesh.uv_layers
+    layer = next((item for item in layers if item.active_render), None) if name == "" else layers.get(name)
+    count = len(mesh.loops)
+    return np.zeros((count, 2), np.float32) if layer is None else read(layer.uv, "vector", count, 2)
+
+
+def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
+    """Reads the triangles of a mesh. Triangles with a vertex that is not finite are left out."""
+    mesh = source.geometry.mesh
+    positions = _positions(mesh)
+    count = len(mesh.loop_triangles)
+    vertices = read(mesh.loop_triangles, "vertices", count, 3, np.int32)
+    kept: slice | NDArray[np.bool_] = slice(None)
+    if source.broken:
+        usable = _usable(positions)
+        kept = usable[vertices].all(axis=1)
+        positions[~usable] = source.bounds[0]  # unused; but no NaN may reach a builder
+    loops: NDArray[np.int32] | None = None
+    if mesh.normals_domain != "FACE" or source.needs_uv:
+        loops = read(mesh.loop_triangles, "loops", count, 3, np.int32)[kept]
+    normals = uvs = slots = None
+    if loops is not None and mesh.normals_domain != "FACE":
+        normals = read(mesh.corner_normals, "vector", len(mesh.loops), 3)[loops]
+    if loops is not None and source.needs_uv:
+        uvs = np.stack([_uv(mesh, name)[loops] for name in uv_maps])
+    if source.slot_count > 1:
+        slots = read(mesh.loop_triangles, "material_index", count, dtype=np.int32)[kept].astype(np.uint16)
+    triangles: U32 = np.ascontiguousarray(vertices[kept]).view(np.uint32)
+    return Mesh(positions, triangles, normals, uvs, slots)
+
+
+class LazyMeshes(Sequence[Mesh]):
+    """`Scene.meshes`: item m is read from Blender each time it is asked for, so keep what you need. Not to be asked for by two threads at once."""
+
+    def __init__(self, sources: Sequence[MeshSource], uv_maps: Sequence[str]) -> None:
+        self.sources = list(sources)
+        self.uv_maps = tuple(uv_maps)
+
+    def __len__(self) -> int:
+        return len(self.sources)
+
+    @overload
+    def __getitem__(self, index: int) -> Mesh: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Mesh]: ...
+    def __getitem__(self, index: int | slice) -> Mesh | list[Mesh]:
+        if isinstance(index, slice):
+            return [load(source, self.uv_maps) for source in self.sources[index]]
+        return load(self.sources[index], self.uv_maps)

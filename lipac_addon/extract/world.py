@@ -1,0 +1,140 @@
+"""World shader -> constant radiance, or a picture of all directions that Cycles bakes.
+
+Any node world is rendered by Cycles itself into an equirectangular picture, from a scene that holds nothing else. Blender cannot start a render inside a
+render, so this is done before `with_render_depsgraph`, and once for all frames unless the world is animated.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core.errors import InputError
+from ...core.scene import ALL_RAYS, F32, RayType, World
+from .depsgraph import changed
+
+BAKE_HEIGHT = 512  # of worlds without an image
+MAX_HEIGHT = 2048
+SUPERSAMPLES = 16  # Cycles samples a pixel where edges (sun disc) are to be averaged
+
+
+@dataclass(frozen=True)
+class ExtractedWorld:
+    """world, and one line per thing that differs from Blender."""
+
+    world: World
+    approximated: tuple[str, ...] = ()
+
+
+def _visibility(world: Any) -> int:
+    v = world.cycles_visibility
+    on = {RayType.CAMERA: v.camera, RayType.DIFFUSE: v.diffuse, RayType.GLOSSY: v.glossy, RayType.TRANSMISSION: v.transmission}
+    return ALL_RAYS & ~sum(1 << kind for kind, seen in on.items() if not seen)
+
+
+def constant_color(world: Any) -> F32 | None:
+    """(3,) radiance where the world is the same in all directions, else None. world: bpy.types.World or None (black)."""
+    if world is None:
+        return np.zeros(3, np.float32)
+    if world.node_tree is None:
+        return np.array(world.color[:3], np.float32)
+    tree = world.inline_shader_nodes()  # keeps the tree alive
+    output = tree.node_tree.get_output_node("CYCLES")
+    if output is None or not output.inputs["Surface"].is_linked:
+        return np.zeros(3, np.float32)
+    node = output.inputs["Surface"].links[0].from_node
+    if node.type not in {"BACKGROUND", "EMISSION"}:
+        return None
+    color, strength = node.inputs["Color"], node.inputs["Strength"]
+    if strength.is_linked or (color.is_linked and strength.default_value != 0.0):
+        return None
+    return np.array(color.default_value[:3], np.float32) * np.float32(strength.default_value)
+
+
+def extract_world(scene: Any, view_layer: Any = None) -> ExtractedWorld:
+    """World of a scene at its current frame, as Cycles shows it to camera rays. Renders where it is not constant: not to be called inside a render.
+
+    scene: bpy.types.Scene; view_layer: bpy.types.ViewLayer, whose world override counts. Everything made for the bake is removed again.
+    """
+    world = getattr(view_layer, "world_override", None) or scene.world
+    color = constant_color(world)
+    if color is not None:
+        return ExtractedWorld(World(color, None, ALL_RAYS if world is None else _visibility(world)))
+    tree = world.inline_shader_nodes()
+    nodes = list(tree.node_tree.nodes)
+    lines = []
+    if any(n.type == "LIGHT_PATH" for n in nodes):
+        lines.append(f"world {world.name}: Light Path node, all rays see what the camera sees")
+    sizes = [n.image.size[1] for n in nodes if n.type in {"TEX_ENVIRONMENT", "TEX_IMAGE"} and n.image is not None]
+    height = int(np.clip(max([BAKE_HEIGHT, *sizes]), 1, MAX_HEIGHT))
+    sun = any(n.type == "TEX_SKY" and n.sun_disc for n in nodes)
+    if sun:
+        lines.append(f"world {world.name}: the sun disc of the sky is sampled at {180 / height:.2f} degrees a pixel")
+    if max(sizes, default=0) > MAX_HEIGHT:
+        lines.append(f"world {world.name}: image reduced to {2 * MAX_HEIGHT}x{MAX_HEIGHT}")
+    image = bake(world, height, SUPERSAMPLES if sun else 1)
+    return ExtractedWorld(World(np.zeros(3, np.float32), image, _visibility(world)), tuple(lines))
+
+
+@contextmanager
+def _bake_scene(world: Any) -> Iterator[Any]:
+    """A scene with nothing but a copy of the world, and a camera that sees all directions."""
+    before = set(bpy.data.images)
+    copy = world.copy()
+    copy.cycles_visibility.camera = True
+    scene = bpy.data.scenes.new(".lipac world bake")
+    camera = bpy.data.cameras.new(".lipac world bake")
+    item = bpy.data.objects.new(".lipac world bake", camera)
+    try:
+        scene.world, scene.camera = copy, item
+        scene.collection.objects.link(item)
+        camera.type, camera.panorama_type = "PANO", "EQUIRECTANGULAR"
+        item.rotation_euler = (np.pi / 2, 0.0, -np.pi / 2)
+        yield scene
+    finally:
+        bpy.data.scenes.remove(scene)
+        bpy.data.objects.remove(item)
+        bpy.data.cameras.remove(camera)
+        bpy.data.worlds.remove(copy)
+        for image in set(bpy.data.images) - before:
+            bpy.data.images.remove(image)
+
+
+def bake(world: Any, height: int, samples: int) -> F32:
+    """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `core.scene.World.image`. Raises InputError if Cycles fails."""
+    with _bake_scene(world) as scene, tempfile.TemporaryDirectory() as folder:
+        scene.render.engine = "CYCLES"
+        scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 2 * height, height, 100
+        scene.render.use_compositing = scene.render.use_sequencer = False
+        scene.render.film_transparent = False
+        c = scene.cycles
+        c.device, c.samples, c.use_adaptive_sampling, c.use_denoising, c.max_bounces, c.film_exposure = "CPU", samples, False, False, 0, 1.0
+        c.pixel_filter_type, c.filter_width, c.sample_clamp_direct, c.seed = "BOX", 1.0 if samples > 1 else 0.01, 0.0, 0
+        settings = scene.render.image_settings
+        settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
+        scene.render.use_file_extension = True
+        path = Path(folder) / "world.exr"
+        with changed(scene.render, filepath=str(path)):
+            bpy.ops.render.render(scene=scene.name, write_still=True)
+        if not path.exists():
+            raise InputError(f"world {world.name!r} could not be baked: Cycles rendered nothing")
+        pixels = _read_exr(path)
+    # Cycles' picture has +X in its middle column, the core's has -X there
+    return np.ascontiguousarray(np.roll(pixels[::-1], height, axis=1))
+
+
+def _read_exr(path: Path) -> F32:
+    import OpenEXR
+
+    with OpenEXR.File(str(path)) as file:
+        channels = file.channels()
+        if "RGB" in channels:
+            return np.asarray(channels["RGB"].pixels, np.float32)
+        return np.stack([np.asarray(channels[c].pixels, np.float32) for c in "RGB"], axis=2)
