@@ -1,0 +1,119 @@
+"""Renders of the open file: Blender's engines as they are, and the path tracer of `core`."""
+
+from __future__ import annotations
+
+import re
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core.errors import InputError
+from ..core.progress import Progress, silent
+from ..core.scene import Scene
+from .console import muted
+from .extract.depsgraph import changed
+from .pictures import save_pixels, save_render_result
+
+BLENDER_ENGINES = {"cycles": "CYCLES", "eevee": "BLENDER_EEVEE"}
+ENGINES = (*BLENDER_ENGINES, "path")
+_SAMPLE = re.compile(r"(\d+)\s*/\s*(\d+)")
+
+
+def samples_of(scene: bpy.types.Scene, engine: str) -> int:
+    """Samples per pixel that the scene asks of an engine of `ENGINES`."""
+    return scene.eevee.taa_render_samples if engine == "eevee" else scene.cycles.samples
+
+
+def render_blender(engine: str, stem: Path, samples: int | None = None, seed: int = 0, threads: int = 0, progress: Progress = silent) -> float:
+    """Render the current frame of the open file by 'cycles' (on the CPU) or 'eevee', save stem.exr and stem.png, and return the seconds of the render alone.
+
+    samples: per pixel, None as in the scene. seed: Cycles' noise; EEVEE has none. threads: 0 for all. All else is as the scene says; its settings are put back.
+    Raises InputError where Blender cannot render. Ctrl-C during the render ends the process at once, for Blender cannot be asked to stop.
+    """
+    scene = bpy.context.scene
+    with _render_settings(scene, engine, samples, seed, threads), _stats(progress):
+        start = time.perf_counter()
+        try:
+            with muted(), _ctrl_c_ends_the_process():
+                bpy.ops.render.render(scene=scene.name)
+        except RuntimeError as error:
+            raise InputError(f"{engine} cannot render the scene: {str(error).removeprefix('Error:').strip()}") from error
+        seconds = time.perf_counter() - start
+    with muted():
+        save_render_result(scene, stem)
+    return seconds
+
+
+def render_path(scene: Scene, active: Any, stem: Path, samples: int | None = None, seed: int = 0, threads: int = 0, progress: Progress = silent) -> float:
+    """Render the active instances, (N,) bool, of a core scene by the path tracer, save stem.exr and stem.png, and return the seconds, building included.
+
+    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png.
+    """
+    from ..core.blas import BlasCache
+    from ..core.embree import shared_device
+    from ..core.tlas import Tlas
+    from ..core.tracer import prepare, trace
+
+    blender_scene = bpy.context.scene
+    start = time.perf_counter()
+    blas = BlasCache(scene.meshes, shared_device(threads))
+    prepared = prepare(scene, blas).with_emitters(active)
+    blas.need(scene.instances.mesh[active])
+    tlas = Tlas(scene.instances, blas, active)
+    picture = trace(prepared, tlas, samples or samples_of(blender_scene, "path"), seed=seed, threads=threads, progress=progress)
+    seconds = time.perf_counter() - start
+    with muted():
+        save_pixels(picture.mean, blender_scene, stem)
+    return seconds
+
+
+@contextmanager
+def _render_settings(scene: bpy.types.Scene, engine: str, samples: int | None, seed: int, threads: int) -> Iterator[None]:
+    render = scene.render
+    with ExitStack() as stack:
+        plain = {"use_border": False, "use_sequencer": False, "use_multiview": False, "use_persistent_data": False}
+        stack.enter_context(changed(render, engine=BLENDER_ENGINES[engine], **plain))
+        if threads:
+            stack.enter_context(changed(render, threads_mode="FIXED", threads=threads))
+        if engine == "eevee":
+            stack.enter_context(changed(scene.eevee, taa_render_samples=samples or samples_of(scene, engine)))
+        else:
+            sampling = {"samples": samples or samples_of(scene, engine), "seed": seed, "use_animated_seed": False}
+            stack.enter_context(changed(scene.cycles, device="CPU", **sampling))
+        yield
+
+
+@contextmanager
+def _stats(progress: Progress) -> Iterator[None]:
+    """Hand on what the engine says about its samples."""
+
+    def note(text: Any, *_rest: object) -> None:
+        if isinstance(text, str) and (found := _SAMPLE.search(text.split("|")[-1])):
+            done, of = map(int, found.groups())
+            progress(done / max(of, 1), f"sample {done} of {of}")
+
+    handlers = bpy.app.handlers.render_stats
+    handlers.append(note)
+    try:
+        yield
+    finally:
+        handlers.remove(note)
+
+
+@contextmanager
+def _ctrl_c_ends_the_process() -> Iterator[None]:
+    """Blender looks at no signal while it renders and Python at none until it is done; the system's own handling is what works."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    old = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, old)

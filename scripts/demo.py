@@ -1,0 +1,44 @@
+"""`lipac demo NAME -o FILE.blend`: write a procedural scene. Also `blender -b -P scripts/demo.py -- NAME -o FILE.blend`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def main(argv: Sequence[str]) -> int:
+    """Build the scene and save it; returns the exit status."""
+    from pathlib import Path
+
+    from ..core.errors import InputError
+    from .options import Parser, count
+
+    parser = Parser(prog="lipac demo", description="Write a procedural demo scene to a .blend file.")
+    parser.add_argument("name", metavar="NAME", help="mirror-city: streets of instanced buildings, seen in a large mirror")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.blend")
+    parser.add_argument("--instances", type=count, metavar="N", help="1,000 to 1,000,000 (default: as the scene suits)")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="the same seed gives the same scene (default: 0)")
+    args = parser.parse_args(argv)
+    if args.output.suffix.lower() != ".blend":
+        raise InputError(f"-o {args.output}: the name of the file must end in .blend")
+    from ..core.report import output_folder, replacing
+
+    output_folder(args.output.parent)
+    import bpy
+
+    from ..lipac_addon.console import muted
+    from ..lipac_addon.demo import build
+
+    with muted():
+        build(args.name, args.instances, args.seed)
+        with replacing(args.output) as part:
+            bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), check_existing=False, copy=True)
+    print(args.output)
+    return 0
+
+
+if __name__ == "__main__":
+    import runpy
+    import sys
+    from pathlib import Path
+
+    sys.exit(runpy.run_path(str(Path(__file__).with_name("by_path.py")))["run"]("demo"))

@@ -1,0 +1,69 @@
+"""The `lipac` command: `lipac COMMAND ...`.
+
+Exit status: 0 success, 1 an error of ours, 2 unusable input, 130 stopped by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+# Command: module of this folder, with a main(argv), and what it does
+COMMANDS = {
+    "demo": ("demo", "write a procedural demo scene to a .blend file"),
+    "analyze": ("analyze", "decide which instances light paths need; no picture"),
+    "render": ("render", "cull and render by Cycles, EEVEE or the path tracer"),
+}
+
+
+def usage() -> str:
+    """What `lipac --help` prints."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name.ljust(width)}  {help_}" for name, (_, help_) in COMMANDS.items()]
+    return "\n".join(["usage: lipac COMMAND [options]", "", *lines, "", "lipac COMMAND --help tells the options."])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command line, the program's own by default; returns the exit status."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(usage())
+        return 0 if arguments else 2
+    name, *rest = arguments
+    if name == "--version":
+        from importlib.metadata import version
+
+        print(version("lipac"))
+        return 0
+    if name not in COMMANDS:
+        print(f"lipac: unknown command '{name}'; choose one of {', '.join(COMMANDS)}", file=sys.stderr)
+        return 2
+    return guarded(name, rest)
+
+
+def guarded(name: str, arguments: Sequence[str]) -> int:
+    """Run a command; errors become one line on stderr and an exit status. LIPAC_DEBUG=1 shows where they come from."""
+    from ..core.errors import Cancelled, InputError
+
+    try:
+        status = importlib.import_module(f".{COMMANDS[name][0]}", __package__).main(arguments)
+        return int(status or 0)
+    except InputError as error:
+        line, status = str(error), 2
+    except (KeyboardInterrupt, Cancelled):
+        line, status = "stopped; finished frames and their report are kept", 130
+    except MemoryError:
+        line, status = "out of memory; lower --resolution or the number of instances, or close other programs", 1
+    except Exception as error:
+        if os.environ.get("LIPAC_DEBUG", "") not in ("", "0"):
+            raise
+        first = str(error).strip().splitlines()[:1]
+        line, status = f"internal error: {type(error).__name__}: {''.join(first)} (LIPAC_DEBUG=1 shows more)", 1
+    print(f"lipac {name}: {line}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())
