@@ -1,0 +1,183 @@
+"""Path tracing of a scene: what is built once per scene (`prepare`), and one picture over a TLAS (`trace`)."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import path_kernel as kernel
+from .blas import BlasCache
+from .camera import camera_constants
+from .feedback import Feedback
+from .film import Picture, filter_offsets
+from .hitboxes import ALL_CROSSINGS
+from .lamps import FAR
+from .lights import Lights, emissive_instances
+from .memory import address
+from .progress import Progress, silent
+from .scene import F32, Scene, Shader
+from .shading import SceneTable
+from .tlas import Tlas
+
+TILE = 16
+_INT32_MAX = 2**31 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A scene in the form that kernels read; valid as long as the scene does not change."""
+
+    scene: Scene
+    blas: BlasCache
+    table: SceneTable
+    lights: Lights
+    camera: F32
+    pixel_filter: F32
+
+    @property
+    def emissive(self) -> NDArray[np.int64]:
+        """Indices of the instances that are sampled as lights, culled or not."""
+        return self.lights.emissive
+
+    def with_emitters(self, active: NDArray[np.bool_]) -> Prepared:
+        """The same scene where only those emissive instances light it that are active, (N,) bool: what is left when the others are removed."""
+        kept = emissive_instances(self.scene)
+        lights = Lights(self.scene, kept[active[kept]], self.lights.meshes)
+        return Prepared(self.scene, self.blas, self.table, lights, self.camera, self.pixel_filter)
+
+
+def prepare(scene: Scene, blas: BlasCache) -> Prepared:
+    """Build lights, camera and tables of a scene whose loaded meshes are in blas. Loads the meshes of emissive instances, no other, and keeps them."""
+    return Prepared(scene, blas, SceneTable(scene), Lights(scene), camera_constants(scene.camera), filter_offsets(scene.film))
+
+
+def has_transparent_shadows(scene: Scene) -> bool:
+    """Whether some material lets shadow rays through."""
+    m = scene.materials
+    return bool(((m["shader"] == Shader.TRANSPARENT) | ((m["shader"] == Shader.PRINCIPLED) & ((m["alpha"] < 1) | (m["alpha_texture"] >= 0)))).any())
+
+
+def trace(
+    prepared: Prepared,
+    tlas: Tlas,
+    samples: int,
+    first_sample: int = 0,
+    seed: int = 0,
+    feedback: Feedback | None = None,
+    hitbox_every: int = 1,
+    nearest: int = ALL_CROSSINGS,
+    size: tuple[int, int] | None = None,
+    threads: int = 0,
+    progress: Progress = silent,
+    cancelled: Callable[[], bool] | None = None,
+    strategy: int = kernel.BOTH,
+) -> Picture:
+    """Trace samples paths per pixel through the instances in tlas.
+
+    first_sample, seed: which random numbers; the same ones give the same picture and counts, bit for bit, at any number of threads.
+    feedback: hits and box crossings are added to it; nearest: boxes counted per segment (hitboxes.ALL_CROSSINGS: every one); hitbox_every: count boxes on
+    one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled between tiles; where it
+    says True the picture is returned as far as it is. strategy: path_kernel.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
+    """
+    scene = prepared.scene
+    width, height = size or (scene.film.width, scene.film.height)
+    sums = np.zeros((height, width, 4), np.float32)
+    stats = np.zeros(2, np.int64)
+    settings, limits = _settings(scene, width, height, samples, first_sample, seed, hitbox_every, nearest, strategy)
+    addresses = _addresses(prepared, tlas, feedback, settings, limits, sums, stats)
+    tiles = [(x, y, min(x + TILE, width), min(y + TILE, height)) for y in range(0, height, TILE) for x in range(0, width, TILE)]
+    stop = threading.Event()
+
+    def work(tile: tuple[int, int, int, int]) -> None:
+        if not stop.is_set():
+            kernel.trace_tile(*tile, addresses)
+
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        futures = [pool.submit(work, tile) for tile in tiles]
+        try:
+            for done, future in enumerate(as_completed(futures), 1):
+                future.result()
+                progress(done / len(tiles), f"tracing {width} x {height}, {samples} paths per pixel")
+                if cancelled and cancelled():
+                    stop.set()
+        finally:
+            stop.set()
+    return Picture(sums, samples, int(stats[kernel.PATHS]), int(stats[kernel.RAYS]))
+
+
+def _settings(
+    scene: Scene, width: int, height: int, samples: int, first_sample: int, seed: int, hitbox_every: int, nearest: int, strategy: int
+) -> tuple[NDArray[np.int64], F32]:
+    """The kernel's settings and limits."""
+    limits = scene.limits
+    settings = np.zeros(kernel.SETTINGS, np.int64)
+    for slot, value in {
+        kernel.I_WIDTH: width,
+        kernel.I_HEIGHT: height,
+        kernel.I_FIRST_SAMPLE: first_sample,
+        kernel.I_SAMPLES: samples,
+        kernel.I_SEED: seed,
+        kernel.I_TOTAL: limits.total,
+        kernel.I_DIFFUSE: limits.diffuse,
+        kernel.I_GLOSSY: limits.glossy,
+        kernel.I_TRANSMISSION: limits.transmission,
+        kernel.I_TRANSPARENT: limits.transparent,
+        kernel.I_REFLECTIVE: limits.caustics_reflective,
+        kernel.I_REFRACTIVE: limits.caustics_refractive,
+        kernel.I_TRANSPARENT_FILM: scene.film.transparent,
+        kernel.I_TRANSPARENT_SHADOWS: has_transparent_shadows(scene),
+        kernel.I_HITBOX_EVERY: hitbox_every,
+        kernel.I_HITBOX_NEAREST: nearest,
+        kernel.I_STRATEGY: strategy,
+    }.items():
+        settings[slot] = value
+    values = np.zeros(kernel.LIMITS, np.float32)
+    values[kernel.V_CLAMP_DIRECT] = 3 * limits.clamp_direct if limits.clamp_direct > 0 else FAR
+    values[kernel.V_CLAMP_INDIRECT] = 3 * limits.clamp_indirect if limits.clamp_indirect > 0 else FAR
+    values[kernel.V_FILTER_GLOSSY] = 1 / limits.filter_glossy if limits.filter_glossy > 0 else 0
+    values[kernel.V_EXPOSURE] = scene.film.exposure
+    values[kernel.V_WORLD : kernel.V_WORLD + 3] = scene.world.color
+    return settings, values
+
+
+def _addresses(
+    prepared: Prepared,
+    tlas: Tlas,
+    feedback: Feedback | None,
+    settings: NDArray[np.int64],
+    limits: F32,
+    sums: F32,
+    stats: NDArray[np.int64],
+) -> NDArray[np.uint64]:
+    """Where the kernel finds everything; the caller keeps it alive."""
+    lights = prepared.lights
+    out = np.zeros(kernel.ADDRESSES, np.uint64)
+    for slot, value in {
+        kernel.A_TABLE: address(prepared.table.table),
+        kernel.A_LIGHTS: address(lights.table),
+        kernel.A_LAMPS: address(lights.lamps),
+        kernel.A_NODES: address(lights.nodes),
+        kernel.A_CHILDREN: address(lights.children),
+        kernel.A_MESHES: address(prepared.blas.table),
+        kernel.TLAS: tlas.handle,
+        kernel.A_IDS: address(tlas.ids),
+        kernel.A_FIRST: address(tlas.first),
+        kernel.A_SETTINGS: address(settings),
+        kernel.A_LIMITS: address(limits),
+        kernel.A_CAMERA: address(prepared.camera),
+        kernel.A_FILTER: address(prepared.pixel_filter),
+        kernel.A_SUMS: address(sums),
+        kernel.A_STATS: address(stats),
+    }.items():
+        out[slot] = value
+    if feedback is not None:
+        out[kernel.HITBOXES] = feedback.hitboxes
+        out[kernel.A_COUNTERS], out[kernel.N_COUNTERS] = address(feedback.boxes), len(feedback.boxes)
+        out[kernel.A_FEEDBACK] = address(feedback.hits)
+    return out
