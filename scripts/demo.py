@@ -17,6 +17,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.blend")
     parser.add_argument("--instances", type=count, metavar="N", help="1,000 to 1,000,000 (default: as the scene suits)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="the same seed gives the same scene (default: 0)")
+    parser.add_argument("--quiet", action="store_true", help="print nothing")
     args = parser.parse_args(argv)
     if args.output.suffix.lower() != ".blend":
         raise InputError(f"-o {args.output}: the name of the file must end in .blend")
@@ -32,7 +33,8 @@ def main(argv: Sequence[str]) -> int:
         build(args.name, args.instances, args.seed)
         with replacing(args.output) as part:
             bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), check_existing=False, copy=True)
-    print(args.output)
+    if not args.quiet:
+        print(args.output)
     return 0
 
 

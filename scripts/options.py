@@ -122,7 +122,7 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
     import bpy
 
     from ..core.report import Report
-    from ..lipac_addon.open import missing_libraries, open_scene, use_camera
+    from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
     from ..lipac_addon.pipeline import Job, run
 
     with progress_of(args.quiet) as progress:
@@ -135,6 +135,8 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
             scene.render.resolution_percentage = 100
         if args.camera:
             use_camera(scene, args.camera)
+        if scene.camera is None:
+            raise InputError(f"scene '{scene.name}' has no camera: add one and make it active, or use --camera {AUTO} to frame everything")
         report = Report(
             scene=str(args.scene or bpy.data.filepath),
             blender=bpy.app.version_string,

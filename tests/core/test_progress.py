@@ -1,0 +1,47 @@
+"""Progress and its time left."""
+
+import io
+
+from lipac.core.progress import Terminal, clock, part
+
+
+class Console(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_time_left_is_extrapolated():
+    now = [0.0]
+    stream = Console()
+    with Terminal(stream, lambda: now[0]) as progress:
+        for fraction in (0.0, 0.25):
+            progress(fraction, "tracing")
+            now[0] += 10.0
+        progress(0.5, "tracing")
+    shown = stream.getvalue().split("\r")
+    assert shown[-3].strip() == "50 % tracing (20 s, 20 s left)"
+    assert shown[-2].strip() == ""  # cleared
+    assert "\n" not in stream.getvalue()
+
+
+def test_a_file_gets_few_whole_lines():
+    now = [0.0]
+    stream = io.StringIO()
+    progress = Terminal(stream, lambda: now[0])
+    for k in range(100):
+        progress(k / 100, "x")
+        now[0] += 0.2
+    lines = stream.getvalue().splitlines()
+    assert 2 <= len(lines) <= 5
+    assert "left" in lines[-1]
+
+
+def test_parts_nest():
+    seen = []
+    whole = part(lambda f, w: seen.append((f, w)), 0.5, 1.0, "a ")
+    part(whole, 0.0, 0.5, "b ")(0.5, "c")
+    assert seen == [(0.625, "a b c")]
+
+
+def test_clock():
+    assert [clock(s) for s in (0.04, 9.94, 59, 61, 3723)] == ["0.0 s", "9.9 s", "59 s", "1:01", "1:02:03"]
