@@ -2,10 +2,8 @@
 
 `depsgraph.object_instances` makes a Python object per instance, 5 s per million. Here Python walks objects, collections and instance references, each once, and
 NumPy composes the transforms of everything they place: `GeometrySet.instances_pointcloud()` gives the instances of geometry nodes as arrays; the contents of a
-collection are composed with all objects that instance it at once.
-
-Two instancers have no such array: particles, and vertex or face instancing. Only when a scene has one that is reached from the top, `object_instances` is
-walked (all of it, Blender offers no part of it), and its entries under those top-level objects are taken.
+collection are composed with all objects that instance it at once. Particles and vertex or face instancing come as arrays too: `evaluated_geometry()` lists them
+as instances (Blender's `object_duplilist_legacy_instances`), so `object_instances` serves as an oracle in the tests alone.
 
 What is instanced, how, and what is visible follows Blender's `object_dupli.cc` and `depsgraph_query_iter.cc`, and Cycles' `blender/object.cpp`.
 """
@@ -26,7 +24,6 @@ from .meshes import LARGEST, MeshSource, describe, read
 GEOMETRY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL"}
 BLOCK = 1 << 16  # instances composed at a time: float64 temporaries of some MB
 VISIBLE = (1 << len(RayType)) - 1
-SENTINEL = 0x7FFFFFFF  # ends `persistent_id`
 Ints = int | NDArray[Any]  # one for all, or one per placement
 
 
@@ -124,13 +121,11 @@ class Node:
     geometry: Geometry | None = None
     light: Any = None
     collection: Any = None
-    particles: bool = False
-    iterated: bool = False  # particles, vertices or faces: only object_instances knows
-    replaced: bool = False  # shown by its parent's vertex or face instancing only
+    kind: Kind = Kind.OBJECT  # how it instances, OBJECT: not at all
+    recursive: bool = True  # what it instances may instance in turn
+    replaced: bool = False  # shown only by its parent's vertex or face instancing
+    alone: bool = False  # shows its mesh only where it is not instanced
 
-    @property
-    def instances_geometry(self) -> bool:
-        return self.geometry is not None and bool(self.geometry.groups)
 
 
 @dataclass
@@ -254,34 +249,46 @@ class Collector:
         marks = (int(InstanceFlag.HOLDOUT) if holdout else 0) | (int(InstanceFlag.SHADOW_CATCHER) if item.is_shadow_catcher else 0)
         node = Node(key, self._name(item), matrix(item.matrix_world), visible, marks, shown=True)
         self._nodes[key] = node
-        for system in item.particle_systems if item.type == "MESH" else ():
-            node.particles = True
-            settings = system.settings
-            if settings.render_type in {"OBJECT", "COLLECTION"}:
-                node.iterated = True
-            elif settings.render_type == "PATH" and settings.type == "HAIR":
-                self.unsupported.setdefault(f"object {item.name}: hair strands not rendered")
+        legacy = self._legacy(item)
         if item.type in GEOMETRY_TYPES:
             data = item.data.as_pointer() if item.type == "MESH" else None
-            if data in self._meshes_of_data and not len(item.modifiers):
+            if data in self._meshes_of_data and not len(item.modifiers) and legacy is None:
                 mesh = self._meshes_of_data[data]
                 slots = self.slots(item, item.data, self.meshes[mesh].slot_count) if mesh >= 0 else 0
                 node.geometry = Geometry(mesh, slots, np.zeros((0, 4, 4), np.float32), [])
             else:
-                node.geometry = self._geometry(item.evaluated_geometry(), item, data)
+                geometry = item.evaluated_geometry()
+                node.geometry = self._geometry(geometry, item, data)
+                if node.geometry.groups:
+                    # Instances of geometry nodes come before the older ones, which are of objects and always have an id
+                    objects = all(isinstance(target, Node) for _, target in node.geometry.groups)
+                    older = legacy is not None and objects and "id" in geometry.instances_pointcloud().attributes
+                    node.kind = legacy if older and legacy is not None else Kind.GEOMETRY_NODES
+                    node.recursive = node.kind != Kind.PARTICLE
         elif item.type == "LIGHT":
             node.light = item.data
-        if node.instances_geometry:
-            node.iterated = False  # geometry nodes come before the older instancers
-        elif item.instance_type in {"VERTS", "FACES"} and item.type == "MESH":
-            node.iterated = True
-        elif item.instance_type == "COLLECTION" and not node.iterated:
-            node.collection = item.instance_collection
-        if node.particles or node.instances_geometry or item.instance_type != "NONE":
+        if node.kind == Kind.OBJECT and item.instance_type == "COLLECTION" and item.instance_collection is not None:
+            node.collection, node.kind = item.instance_collection, Kind.COLLECTION
+        if len(item.particle_systems) or node.kind == Kind.GEOMETRY_NODES or item.instance_type != "NONE":
             node.shown = item.show_instancer_for_render
+        if item.hide_render:  # reached as an instance: shows itself, instances nothing; and a mesh that is not its own data is an instance already
+            node.kind = Kind.OBJECT
+            node.alone = item.type != "MESH"
+        node.alone |= item.type == "META"
         parent = item.parent
         node.replaced = parent is not None and parent.instance_type in {"VERTS", "FACES"}
         return node
+
+    def _legacy(self, item: Any) -> Kind | None:
+        """PARTICLE or DUPLI where an object instances by these."""
+        kind = None
+        for system in item.particle_systems:
+            settings = system.settings
+            if settings.render_type in {"OBJECT", "COLLECTION"}:
+                kind = Kind.PARTICLE
+            elif settings.render_type == "PATH" and settings.type == "HAIR":
+                self.unsupported.setdefault(f"object {item.name}: hair strands not rendered")
+        return Kind.DUPLI if kind is None and item.instance_type in {"VERTS", "FACES"} else kind
 
     def members(self, collection: Any) -> Members:
         """The Members of a collection that something instances."""
@@ -299,24 +306,10 @@ class Collector:
 
     def run(self) -> None:
         """Walks the graph once."""
-        plain: list[Node] = []
-        instancers: list[Node] = []
-        iterated: set[int] = set()
-        for item in self._top_level():
-            node = self.node(item)
-            if self._reaches_iterated(node, set()):
-                iterated.add(node.key)
-            elif node.instances_geometry or node.collection is not None:
-                instancers.append(node)
-            plain.append(node)
-        self._plain(plain)
-        hosts: list[tuple[Node, Placements]] = []
-        for node in instancers:
-            kind = Kind.GEOMETRY_NODES if node.instances_geometry else Kind.COLLECTION
-            hosts.append((node, Placements(node.world[None], int(kind), node.name, node.visible, node.marks)))
+        nodes = [self.node(item) for item in self._top_level()]
+        self._plain(nodes)
+        hosts = [(n, Placements(n.world[None], int(n.kind), n.name, n.visible, n.marks)) for n in nodes if n.kind != Kind.OBJECT]
         self._instances_of(hosts, (), 0)
-        if iterated:
-            self._iterate(iterated)
 
     def _top_level(self) -> Iterator[Any]:
         """Objects visible in the render, and those hidden themselves whose instances are visible (which `depsgraph.objects` leaves out)."""
@@ -331,26 +324,6 @@ class Collector:
                     enabled = {full_name(o) for o in _render_objects(self.depsgraph.view_layer.layer_collection)}
                 if full_name(item) in enabled:
                     yield item
-
-    def _reaches_iterated(self, node: Node, seen: set[int]) -> bool:
-        if node.iterated:
-            return True
-        if node.key in seen:
-            return False
-        seen.add(node.key)
-        stack: list[Any] = [node.geometry] if node.geometry is not None else []
-        if node.collection is not None:
-            stack.append(self.members(node.collection))
-        while stack:
-            item = stack.pop()
-            if isinstance(item, Geometry):
-                stack += [target for _, target in item.groups]
-            elif isinstance(item, Members):
-                if any(self._reaches_iterated(child, seen) for _, child in item.objects):
-                    return True
-            elif isinstance(item, Node) and self._reaches_iterated(item, seen):
-                return True
-        return False
 
     def _plain(self, nodes: Iterable[Node]) -> None:
         """Objects themselves, grouped by what they show."""
@@ -368,9 +341,9 @@ class Collector:
             at = Placements(np.stack([n.world for n in members]), int(Kind.OBJECT), -1, visible, marks)
             self._emit(mesh, slots, np.array([n.name for n in members], np.int32), VISIBLE, 0, at)
 
-    def _object(self, node: Node, at: Placements, stack: tuple[int, ...]) -> None:
-        """An instanced object, without what it instances itself."""
-        if not node.shown or node.replaced:
+    def _object(self, node: Node, at: Placements, replaced: bool = False) -> None:
+        """An instanced object, without what it instances itself. replaced: by its parent's vertex or face instancing."""
+        if not node.shown or node.alone or (node.replaced and not replaced):
             return
         if node.light is not None:
             self._lamp(node, at)
@@ -385,9 +358,9 @@ class Collector:
         for node, at in hosts:
             if node.key in stack or not len(at):
                 continue
-            if node.instances_geometry and node.geometry is not None:
+            if node.kind != Kind.COLLECTION and node.geometry is not None:
                 self._geometry_instances(node.geometry, node, at, (*stack, node.key))
-            elif node.collection is not None:
+            else:
                 members = self.members(node.collection)
                 if any(child.key == node.key for _, child in members.objects):
                     self._collection(members, compose(at.transform, members.offset), at, (*stack, node.key))
@@ -405,18 +378,18 @@ class Collector:
             if node.key in stack:
                 continue
             child = at.inside(compose(spaces, node.world), slice(None), place)
-            self._object(node, child, stack)
-            if node.instances_geometry or node.collection is not None:
+            self._object(node, child)
+            if node.kind != Kind.OBJECT:
                 hosts.append((node, child))
         if hosts:
             self._instances_of(hosts, stack, len(at.path) + 1)
 
-    def _geometry_instances(self, geometry: Geometry, owner: Node, at: Placements, stack: tuple[int, ...], meshes_only: bool = False) -> None:
+    def _geometry_instances(self, geometry: Geometry, owner: Node, at: Placements, stack: tuple[int, ...]) -> None:
         """The instances of a geometry, in blocks of all (placement, row) pairs."""
         if len(at.path) >= MAX_DEPTH:
             return
         for rows, target in geometry.groups:
-            if target is None or (meshes_only and not isinstance(target, Geometry)):
+            if target is None:
                 continue
             count = len(geometry.columns) if rows is None else len(rows)
             for start in range(0, len(at) * count, BLOCK):
@@ -429,14 +402,15 @@ class Collector:
                 row = row if rows is None else rows[row]
                 child = self._place_rows(geometry, at, placement, row)
                 if isinstance(target, Node):
-                    self._object(target, child, stack)
-                    self._instances_of([(target, child)], stack, len(child.path))
+                    self._object(target, child, owner.kind == Kind.DUPLI)
+                    if owner.recursive and target.kind != Kind.OBJECT:
+                        self._instances_of([(target, child)], stack, len(child.path))
                 elif isinstance(target, Members):
                     self._collection(target, compose(child.transform, target.offset), child, stack)
                 else:
                     if target.mesh >= 0:
                         self._emit(target.mesh, target.slots, owner.name, VISIBLE, 0, child)
-                    self._geometry_instances(target, owner, child, stack, meshes_only)
+                    self._geometry_instances(target, owner, child, stack)
 
     @staticmethod
     def _place_rows(geometry: Geometry, at: Placements, placement: NDArray[Any], row: NDArray[Any]) -> Placements:
@@ -473,40 +447,6 @@ class Collector:
             transform = placed.astype(np.float32)
             transform[:, :, 3] = placed[:, :, 3] - self.origin
             self._chunks.append(_Chunk(transform, mesh, slots, _take(flags, keep), _take(at.kind, keep), _take(at.host, keep), _take(name, keep), path))
-
-    def _iterate(self, hosts: set[int]) -> None:
-        """The instances under top-level objects that only `object_instances` can list."""
-        found: dict[tuple[int, int], tuple[list[Any], list[list[int]]]] = {}
-        owners: dict[int, Node] = {}
-        for entry in self.depsgraph.object_instances:
-            if not entry.is_instance:
-                continue
-            parent = entry.parent.as_pointer()
-            source = entry.instance_object
-            if parent not in hosts or entry.object.data is None or entry.object.data.as_pointer() != source.data.as_pointer():
-                continue  # a geometry without an object is taken with the object it belongs to
-            owners[parent] = self.node(entry.parent)
-            node = self.node(source)
-            matrices, paths = found.setdefault((parent, node.key), ([], []))
-            matrices.append(matrix(entry.matrix_world))
-            paths.append([i for i in reversed(entry.persistent_id) if i != SENTINEL])
-        for (parent, key), (matrices, paths) in found.items():
-            host, node = owners[parent], self._nodes[key]
-            columns = np.full((len(paths), max(map(len, paths))), -1, np.int32)
-            for k, path in enumerate(paths):
-                columns[k, : len(path)] = path
-            at = Placements(np.stack(matrices), int(self._kind(host)), host.name, host.visible, host.marks, tuple(columns.T))
-            shown = Node(**{**vars(node), "replaced": False})
-            self._object(shown, at, ())
-            if node.instances_geometry and node.geometry is not None:
-                self._geometry_instances(node.geometry, node, at, (node.key,), meshes_only=True)
-
-    def _kind(self, host: Node) -> Kind:
-        if host.instances_geometry:
-            return Kind.GEOMETRY_NODES
-        if host.collection is not None:
-            return Kind.COLLECTION
-        return Kind.PARTICLE if host.particles else Kind.DUPLI
 
     # Results
 

@@ -94,8 +94,8 @@ def extract(depsgraph: Any, world: ExtractedWorld | None = None, allow_no_camera
     if camera is None:
         bounds = np.stack((instances.bounds[:, 0].min(axis=0), instances.bounds[:, 1].max(axis=0))).astype(np.float64)
         camera = frame_camera(bounds, film)
-        origin = np.round(camera.to_world[:, 3])
-        if np.abs(origin).max() > 1e3:  # far from the world's origin: once more, with all digits
+        if np.abs(camera.to_world[:, 3]).max() > 1e3:  # far from the world's origin: once more, with all digits
+            origin = np.round(camera.to_world[:, 3])
             collector = collect(origin)
             instances, keys = collector.result()
     sources = collector.meshes
