@@ -122,6 +122,9 @@ def test_every_object_type_with_faces() -> None:
     bpy.ops.object.metaball_add(type="BALL", location=(12, 0, 0))
     bpy.ops.object.metaball_add(type="BALL", location=(13, 0, 0))
     held = collection("held", linked=False)
+    ball = bpy.data.metaballs.new("ball")
+    ball.elements.new()
+    add("lone ball", ball, held)
     add("text 2", text, held)
     instance_of("empty", held, location=(0, 0, 5))
     extraction = check()
@@ -229,6 +232,18 @@ def test_geometry_nodes_of_every_reference() -> None:
     empty = instance_of("empty", pool, location=(-20, 0, 0), rotation=(0, 0, 1))
     last = add("host of empty", cube(), location=(60, 0, 0))
     nodes(last, lambda g, new: scattered(new, g, new("GeometryNodeObjectInfo", {"Object": empty, "As Instance": True}).outputs["Geometry"], 10))
+    text = bpy.data.curves.new("text", "FONT")
+    text.body, text.extrude = "a", 0.1
+    for k, (name, data) in enumerate((("hidden text", text), ("text", text), ("hidden cube", cube()))):  # hide_render does not reach instances of the object itself
+        hidden = add(name, data, location=(0, 0, 9))
+        hidden.hide_render = name.startswith("hidden")
+        if data is not text:
+            nodes(hidden, lambda g, new: new("GeometryNodeJoinGeometry", {0: [g, scattered(new, g, info(new), 11)]}).outputs[0])
+
+        def instance(g: Any, new: Any, source: Any = hidden) -> Any:
+            return scattered(new, g, new("GeometryNodeObjectInfo", {"Object": source, "As Instance": True}).outputs["Geometry"], 12)
+
+        nodes(add(f"host of {name}", cube(), location=(80, 20 * k, 0)), instance)
     extraction = check()
     keys = extraction.keys.records
     assert kinds(extraction)[Kind.GEOMETRY_NODES] > 100
@@ -273,6 +288,10 @@ def test_particles() -> None:
     scatter = add("scatter", cube(), location=(0, 0, -60))
     nodes(scatter, lambda g, new: scattered(new, g, new("GeometryNodeMeshIcoSphere", {}).outputs[0]))
     hair(add("emitter 4", cube("emitter 4", 2.0), location=(40, 0, 0)), render_type="OBJECT", instance_object=scatter)
+    for k in range(2):  # beside nodes: that deform only, and that instance
+        both = add(f"both {k}", cube(f"both {k}", 4.0), location=(60, 20 * k, 0))
+        hair(both, render_type="OBJECT", instance_object=leaf)
+        nodes(both, lambda g, new: g if k == 0 else new("GeometryNodeJoinGeometry", {0: [g, scattered(new, g, new("GeometryNodeMeshIcoSphere", {}).outputs[0])]}).outputs[0])  # noqa: B023
     extraction = check()
     assert kinds(extraction)[Kind.PARTICLE] >= 60
 
