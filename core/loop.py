@@ -25,7 +25,8 @@ from .scene import F32, I64, RAY_TYPES, U8, Scene
 from .tlas import Tlas
 from .tracer import prepare, trace
 
-COLD_HITS = 4  # paths of one round that must cross a box before it is opened: fewer is chance
+COLD_HITS = 4  # segments of one round that must cross a box before it is opened: fewer is chance
+SETTLED = 0.005  # segments per path that still ask for a box when the cold start ends
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,8 @@ class Loop:
             progress=progress,
             cancelled=self.cancelled,
         )
+        if self.cancelled():
+            raise Cancelled
         self.paths += picture.paths
         self.rays += picture.rays
         feedback.paths = picture.paths
@@ -127,21 +130,20 @@ class Loop:
             boxes = Hitboxes(cut.bounds, self.device)
             self.timer.add("build_s", start)
             feedback = self.trace(tlas, boxes, 1)
-            if not self._ask(regions, cut, feedback):
+            if self._ask(regions, cut, feedback) < SETTLED:
                 return
             progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.active.sum()):,} of {len(self.active):,} instances active")
 
-    def _ask(self, regions: Regions, cut: Cut, feedback: Feedback) -> bool:
-        """Open the boxes that paths asked for, activate instances met before they were active; False when nothing changed that matters."""
+    def _ask(self, regions: Regions, cut: Cut, feedback: Feedback) -> float:
+        """Open the boxes that paths asked for, activate instances met before they were active. Returns how many segments per path asked."""
         start = time.perf_counter()
-        asked = np.flatnonzero(feedback.boxes.sum(axis=1) >= COLD_HITS)
-        before = int(self.active.sum())
-        regions.split_nodes(cut, asked)
+        crossings = feedback.boxes.sum(axis=1)
+        asked = np.flatnonzero(crossings >= COLD_HITS)
+        regions.split_nodes(cut, asked, crossings[asked] // COLD_HITS)
         self.active[regions.instances_of(cut, asked)] = True
         self.active |= (feedback.hits.sum(axis=1) >= COLD_HITS) & self.exists  # emitters that lit a path are known before their boxes are crossed
-        changed = int(self.active.sum()) > before or bool((cut.level[asked] > 0).any())
         self.timer.add("feedback_s", start)
-        return changed
+        return float(crossings[asked].sum()) / max(feedback.paths, 1)
 
     def measure(self, progress: Progress = silent) -> Feedback:
         """Real hits of the active set, by the number of paths per pixel that the options ask for."""

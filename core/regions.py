@@ -99,10 +99,19 @@ class Regions:
                 reachable = np.repeat(reachable & opened[level], FANOUT)[: len(self._bounds[level - 1])]
         return Cut(np.concatenate(levels), np.concatenate(indices), np.concatenate(bounds))
 
-    def split_nodes(self, cut: Cut, rows: np.ndarray) -> None:
-        """Open nodes of a cut (rows into it); single instances cannot be split and are passed over."""
+    def split_nodes(self, cut: Cut, rows: np.ndarray, wanted: np.ndarray) -> None:
+        """Open nodes of a cut (rows into it) deep enough for wanted (one per row) boxes to stand in for each; single instances are passed over."""
+        depth = np.log2(np.maximum(wanted, 1)) / np.log2(FANOUT)
         for level in range(1, self.levels):
-            self.split[level][cut.index[rows[cut.level[rows] == level]]] = True
+            chosen = cut.level[rows] == level
+            nodes, below = cut.index[rows[chosen]], depth[chosen]
+            for deeper in range(level, 0, -1):
+                self.split[deeper][nodes] = True
+                more = below > level - deeper + 1
+                nodes = (nodes[more, None] * FANOUT + np.arange(FANOUT)).ravel()
+                below = np.repeat(below[more], FANOUT)
+                inside = nodes < len(self.split[deeper - 1])
+                nodes, below = nodes[inside], below[inside]
 
     def instances_of(self, cut: Cut, rows: np.ndarray) -> I32:
         """Instances of those rows of a cut that are single instances."""

@@ -44,7 +44,7 @@ def test_splitting_opens_a_region_down_to_its_instances() -> None:
     regions, active = Regions(bounds), np.zeros(1000, bool)
     cut = regions.cut(active)
     while (cut.level > 0).any():
-        regions.split_nodes(cut, np.arange(len(cut)))
+        regions.split_nodes(cut, np.arange(len(cut)), np.ones(len(cut)))
         deeper = check(regions, bounds, active)
         assert len(deeper) > len(cut)
         cut = deeper
