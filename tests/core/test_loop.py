@@ -81,7 +81,7 @@ def test_cost_follows_what_is_active() -> None:
     assert Asked.asked <= {0, 1, 2}
     assert stats["meshes"] == 2  # what was built under the floor, while the floor was not there yet, is freed again
     assert stats["active"] + stats["culled"] == stats["instances"] == 3006
-    assert stats["hitboxes"] < 60  # three thousand culled instances stand in few regions
+    assert stats["hitboxes"] < 150  # three thousand culled instances stand in few regions
     full = analyze(scene, CullOptions(policy="none")).stats
     assert full["active"] == 3006
     assert stats["tlas_bytes"] < full["tlas_bytes"] / 10
