@@ -1,0 +1,46 @@
+"""A small scene that most tests of Blender's side can use."""
+
+import bpy
+import pytest
+
+
+def ground_and_boxes() -> None:
+    """A plane, a wall, four cubes of one mesh before it and four behind, one of them above; a sun, a grey world, a camera."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_plane_add(size=40)
+    bpy.ops.mesh.primitive_cube_add(size=1, location=(0, 6, 4))
+    bpy.context.object.name, bpy.context.object.scale = "wall", (30, 0.2, 8)
+    bpy.ops.mesh.primitive_cube_add(size=1)
+    cube = bpy.context.object
+    for k in range(8):
+        ob = bpy.data.objects.new(f"box{k}", cube.data)
+        ob.location = (2.0 * (k % 4) - 3, 9.0 if k > 3 else 0.0, 0.5)
+        scene.collection.objects.link(ob)
+    bpy.data.objects.remove(cube)
+    bpy.ops.object.light_add(type="SUN", rotation=(0.6, 0.2, 0))
+    bpy.ops.object.camera_add(location=(0, -12, 5), rotation=(1.25, 0, 0))
+    scene.camera = bpy.context.object
+    scene.world = bpy.data.worlds.new("World")
+    render = scene.render
+    render.engine, render.resolution_x, render.resolution_y, render.resolution_percentage = "CYCLES", 64, 36, 100
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 2, False, False
+    scene.cycles.max_bounces = 2
+
+
+@pytest.fixture
+def boxes():
+    """The scene above, open; bpy.types.Scene."""
+    ground_and_boxes()
+    yield bpy.context.scene
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture(scope="session")
+def boxes_file(tmp_path_factory):
+    """The scene above as a .blend; its path."""
+    ground_and_boxes()
+    path = tmp_path_factory.mktemp("scene") / "boxes.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return path

@@ -1,0 +1,59 @@
+"""Renders by Blender's engines leave the scene as it was, and by the path tracer."""
+
+import numpy as np
+import pytest
+
+from lipac.core.errors import InputError
+from lipac.lipac_addon.engines import render_blender, render_path
+from lipac.lipac_addon.extract import extract_frame
+from lipac.lipac_addon.pictures import read_picture
+
+
+def values(thing):
+    return {p.identifier: str(getattr(thing, p.identifier)) for p in thing.bl_rna.properties if p.type not in ("POINTER", "COLLECTION")}
+
+
+def test_cycles(boxes, tmp_path):
+    boxes.render.engine = "BLENDER_EEVEE"
+    boxes.render.use_border = True
+    before = [values(boxes.render), values(boxes.cycles), values(boxes.render.image_settings)]
+    said = []
+    first = render_blender("cycles", tmp_path / "a", samples=3, seed=5, threads=1, progress=lambda f, w: said.append((f, w)))
+    render_blender("cycles", tmp_path / "b", samples=3, seed=5, threads=2)
+    render_blender("cycles", tmp_path / "c", samples=3, seed=6)
+    assert [values(boxes.render), values(boxes.cycles), values(boxes.render.image_settings)] == before
+    assert first > 0
+    assert said[-1] == (1.0, "sample 3 of 3")
+    a, b, c = (read_picture(tmp_path / f"{n}.exr") for n in "abc")
+    assert a.shape[:2] == (36, 64)
+    assert (a == b).all()
+    assert (a != c).any()
+
+
+def test_eevee(boxes, tmp_path):
+    boxes.render.resolution_percentage = 50
+    render_blender("eevee", tmp_path / "a", samples=1)
+    picture = read_picture(tmp_path / "a.exr")
+    assert picture.shape[:2] == (18, 32)
+    assert np.isfinite(picture).all()
+    assert picture[..., :3].max() > 0.05
+    assert boxes.render.engine == "CYCLES"
+
+
+def test_path(boxes, tmp_path):
+    """The linear mean of the path tracer's picture is that of Cycles, to the noise: 3 standard errors of the difference of 8 independent pairs."""
+    scene = extract_frame(boxes).scene
+    everything = np.ones(len(scene.instances), bool)
+    differences = []
+    for seed in range(8):
+        render_path(scene, everything, tmp_path / "p", samples=8, seed=seed)
+        render_blender("cycles", tmp_path / "c", samples=8, seed=seed)
+        differences.append(read_picture(tmp_path / "p.exr")[..., :3].mean() - read_picture(tmp_path / "c.exr")[..., :3].mean())
+    error = np.std(differences, ddof=1) / np.sqrt(len(differences))
+    assert abs(np.mean(differences)) < 3 * error + 1e-6
+
+
+def test_no_camera(boxes, tmp_path):
+    boxes.camera = None
+    with pytest.raises(InputError, match="cycles cannot render the scene"):
+        render_blender("cycles", tmp_path / "a", samples=1)
