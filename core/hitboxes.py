@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import carray, cfunc, njit, types
 
@@ -141,7 +143,8 @@ class Hitboxes:
     bytes: Embree's memory plus the bounds.
     """
 
-    def __init__(self, bounds: F32, device: embree.Device | None = None) -> None:
+    def __init__(self, bounds: F32, device: embree.Device | None = None, crossing: Any = _cross.address) -> None:
+        """crossing: address of Embree's intersect callback; the default counts for `count_crossings`."""
         device, lib = device or embree.shared_device(), embree.lib
         self._device = device
         self.bounds: F32 = np.ascontiguousarray(bounds, np.float32)
@@ -154,7 +157,7 @@ class Hitboxes:
         lib.rtcSetGeometryUserPrimitiveCount(geometry, len(bounds))
         lib.rtcSetGeometryUserData(geometry, self.bounds.ctypes.data)
         lib.rtcSetGeometryBoundsFunction(geometry, _bounds.address, None)
-        lib.rtcSetGeometryIntersectFunction(geometry, _cross.address)
+        lib.rtcSetGeometryIntersectFunction(geometry, crossing)
         lib.rtcSetGeometryMask(geometry, 0xFFFFFFFF)
         lib.rtcCommitGeometry(geometry)
         scene = device.new_scene(embree.SCENE_ROBUST)

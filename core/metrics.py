@@ -13,7 +13,8 @@ _EPSILON = 0.01
 
 
 def _pair(reference: ArrayLike, test: ArrayLike, dtype: type) -> tuple[np.ndarray, np.ndarray]:
-    a, b = np.asarray(reference, dtype)[..., :3], np.asarray(test, dtype)[..., :3]
+    a: np.ndarray = np.asarray(reference, dtype)[..., :3]
+    b: np.ndarray = np.asarray(test, dtype)[..., :3]
     if a.shape != b.shape or a.ndim != 3:
         raise InputError(f"pictures of {a.shape[1::-1]} and {b.shape[1::-1]} pixels cannot be compared: render both at one resolution")
     return np.ascontiguousarray(a), np.ascontiguousarray(b)
