@@ -338,9 +338,10 @@ def _principled(c: Any, params: Any, flags: int, n: Any, lifted: Any) -> None:
     coat = max(params[P_COAT], 0.0)
     if coat > _CUTOFF:
         ior = max(params[P_COAT_IOR], 1.0)
-        cos = c[_FRAME] * lifted[0] + c[_FRAME + 1] * lifted[1] + c[_FRAME + 2] * lifted[2]
+        smooth = _lift(c, c[_FRAME + F_NS], c[_FRAME + F_NS + 1], c[_FRAME + F_NS + 2])  # a normal map bends what lies below, not the coat
+        cos = c[_FRAME] * smooth[0] + c[_FRAME + 1] * smooth[1] + c[_FRAME + 2] * smooth[2]
         if reflective:
-            o = _add_lobe(c, _REFLECTION, coat * wr, coat * wg, coat * wb, _clip(params[P_COAT_ROUGHNESS]) ** 2, ior, lifted)
+            o = _add_lobe(c, _REFLECTION, coat * wr, coat * wg, coat * wb, _clip(params[P_COAT_ROUGHNESS]) ** 2, ior, smooth)
             if o >= 0:
                 _tints(c, o, 1.0, 0.0)
                 keep = _clip(1.0 - coat * (1.0 - _schlick(c, o, _f0(ior), 1.0, 1.0, 1.0)))

@@ -80,10 +80,11 @@ def integrate(kind: int, roughness: float, mu: float, ior: float, steps: int) ->
                 continue
             total += weight * fresnel * shadow_r if cos_ro > 0.0 else 0.0
             cos_to = (cos_hi / ior - cos_ht) * hz - mu / ior
-            if cos_to < 0.0:
-                # Refraction at nearly equal indices passes straight through, unshadowed.
-                straight = singular or abs(ior - 1.0) < 1e-4
-                total += weight * (1.0 - fresnel) * (1.0 if straight else (1.0 + lambda_i) / (1.0 + lambda_i + _smith(alpha2, cos_to)))
+            # No test that the refracted ray ends below the surface: Cycles' table counts rays that do not, though its sampling rejects them. Where that
+            # happens (rough glass seen from inside near total reflection) Cycles loses light, and so do we, to agree with it.
+            # Refraction at nearly equal indices passes straight through, unshadowed.
+            straight = singular or abs(ior - 1.0) < 1e-4
+            total += weight * (1.0 - fresnel) * (1.0 if straight else (1.0 + lambda_i) / (1.0 + lambda_i + _smith(alpha2, cos_to)))
     return total / (steps * steps)
 
 
