@@ -77,6 +77,7 @@ class Loop:
         height = max(1, round(options.width * scene.film.height / scene.film.width))
         self.size = (min(options.width, scene.film.width), min(height, scene.film.height))
         start = time.perf_counter()
+        self.regions = Regions(instances.bounds, np.flatnonzero(self.exists))
         self.prepared = prepare(scene, self.blas)
         self.timer.add("build_s", start)
 
@@ -121,26 +122,25 @@ class Loop:
 
     def cold_start(self, progress: Progress = silent) -> None:
         """Rounds of one path per pixel from nothing built, until no box is asked for any more."""
-        regions = Regions(self.scene.instances.bounds, np.flatnonzero(self.exists))
         while self.rounds < self.options.max_iterations:
             self.rounds += 1
             tlas = self.build(self.active, progress)
             start = time.perf_counter()
-            cut = regions.cut(self.active)
+            cut = self.regions.cut(self.active)
             boxes = Hitboxes(cut.bounds, self.device)
             self.timer.add("build_s", start)
             feedback = self.trace(tlas, boxes, 1)
-            if self._ask(regions, cut, feedback) < SETTLED:
+            if self._ask(cut, feedback) < SETTLED:
                 return
             progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.active.sum()):,} of {len(self.active):,} instances active")
 
-    def _ask(self, regions: Regions, cut: Cut, feedback: Feedback) -> float:
+    def _ask(self, cut: Cut, feedback: Feedback) -> float:
         """Open the boxes that paths asked for, activate instances met before they were active. Returns how many segments per path asked."""
         start = time.perf_counter()
         crossings = feedback.boxes.sum(axis=1)
         asked = np.flatnonzero(crossings >= COLD_HITS)
-        regions.split_nodes(cut, asked, crossings[asked] // COLD_HITS)
-        self.active[regions.instances_of(cut, asked)] = True
+        self.regions.split_nodes(cut, asked, crossings[asked] // COLD_HITS)
+        self.active[self.regions.instances_of(cut, asked)] = True
         self.active |= (feedback.hits.sum(axis=1) >= COLD_HITS) & self.exists  # emitters that lit a path are known before their boxes are crossed
         self.timer.add("feedback_s", start)
         return float(crossings[asked].sum()) / max(feedback.paths, 1)
@@ -154,7 +154,8 @@ class Loop:
         tlas = self.build(keep)
         self.blas.keep_only(self.scene.instances.mesh[keep])
         start = time.perf_counter()
-        cut = Regions(self.scene.instances.bounds, np.flatnonzero(self.exists)).cut(keep)
+        self.regions.merge()
+        cut = self.regions.cut(keep)
         boxes = Hitboxes(cut.bounds, self.device)
         self.timer.add("build_s", start)
         state = np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED))

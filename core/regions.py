@@ -39,7 +39,13 @@ def spatial_order(bounds: F32) -> I32:
     size = (bounds[:, 1] - bounds[:, 0]).max(axis=1)
     largest = max(float(size.max()), 1e-30)
     rank = np.clip(-np.log2(np.maximum(size / np.float32(largest), 1e-30)) / 2, 0, _SIZE_CLASSES - 1).astype(np.uint64)
-    return np.argsort(code | (rank << np.uint64(3 * _MORTON_BITS)), kind="stable").astype(np.int32)
+    # The index in the low bits makes keys distinct: a plain sort of integers is then an argsort, stable and several times as fast.
+    bits = max(len(bounds) - 1, 1).bit_length()
+    code |= rank << np.uint64(3 * _MORTON_BITS)
+    code >>= np.uint64(max(3 * _MORTON_BITS + 3 + bits - 64, 0))
+    code = (code << np.uint64(bits)) | np.arange(len(bounds), dtype=np.uint64)
+    code.sort()
+    return (code & np.uint64((1 << bits) - 1)).astype(np.int32)
 
 
 @dataclass(frozen=True)
@@ -98,6 +104,11 @@ class Regions:
             if level:
                 reachable = np.repeat(reachable & opened[level], FANOUT)[: len(self._bounds[level - 1])]
         return Cut(np.concatenate(levels), np.concatenate(indices), np.concatenate(bounds))
+
+    def merge(self) -> None:
+        """Take back every split."""
+        for level in self.split:
+            level[:] = False
 
     def split_nodes(self, cut: Cut, rows: np.ndarray, wanted: np.ndarray) -> None:
         """Open nodes of a cut (rows into it) deep enough for wanted (one per row) boxes to stand in for each; single instances are passed over."""
