@@ -1,0 +1,80 @@
+"""Worlds: constant ones as they are, any other as Cycles bakes it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+from lipac.core.scene import RayType
+from lipac.lipac_addon.extract import extract_world
+from lipac.lipac_addon.extract import world as module
+
+
+def new_world() -> tuple[Any, Any, Any]:
+    """A world of the scene, its tree and its Background node."""
+    world = bpy.context.scene.world = bpy.data.worlds.new("World")
+    tree = world.node_tree
+    return world, tree, next(n for n in tree.nodes if n.type == "BACKGROUND")
+
+
+def directions(height: int) -> np.ndarray:
+    """(height, 2 height, 3): what `World.image` documents for its pixel centres."""
+    v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(2 * height) + 0.5) / (2 * height), indexing="ij")
+    angle, z = (u - 0.5) * 2 * np.pi, np.sin((v - 0.5) * np.pi)
+    r = np.sqrt(1 - z * z)
+    return np.stack((-r * np.cos(angle), r * np.sin(angle), z), axis=2)
+
+
+def test_constant_worlds() -> None:
+    """None is black; Background is colour times strength; ray visibility becomes bits."""
+    assert not extract_world(bpy.context.scene).world.color.any()
+    world, _, background = new_world()
+    background.inputs["Color"].default_value, background.inputs["Strength"].default_value = (0.2, 0.4, 0.8, 1), 2.5
+    world.cycles_visibility.glossy = False
+    extracted = extract_world(bpy.context.scene).world
+    np.testing.assert_allclose(extracted.color, [0.5, 1.0, 2.0], rtol=1e-6)
+    assert extracted.image is None
+    assert extracted.visibility == 0b11111 & ~(1 << RayType.GLOSSY)
+
+
+def test_baked_world_shows_directions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A world that emits its own direction, moved to be positive: every pixel looks where the core says it does. Nothing stays behind in the file."""
+    monkeypatch.setattr(module, "BAKE_HEIGHT", 32)
+    world, tree, background = new_world()
+    world.cycles_visibility.camera = False
+    coordinates, shift = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeVectorMath")
+    shift.inputs[1].default_value = (2, 2, 2)
+    tree.links.new(coordinates.outputs["Generated"], shift.inputs[0])
+    tree.links.new(shift.outputs[0], background.inputs["Color"])
+    scene = bpy.context.scene
+
+    def contents() -> dict[str, list[str]]:
+        return {name: [item.name_full for item in getattr(bpy.data, name)] for name in ("scenes", "objects", "cameras", "worlds", "images", "collections")}
+
+    before, engine, path = contents(), scene.render.engine, scene.render.filepath
+    image = extract_world(scene).world.image
+    assert contents() == before
+    assert (scene.render.engine, scene.render.filepath, bpy.context.scene) == (engine, path, scene)
+    assert image is not None
+    # A filter of 0.01 pixels around the centre, pixels of pi / 32
+    np.testing.assert_allclose(image - 2, directions(32), atol=0.01 * np.pi / 32 + 1e-5)
+
+
+def test_environment_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An Environment Texture keeps its pixels: here at the image's own size."""
+    monkeypatch.setattr(module, "BAKE_HEIGHT", 8)
+    _, tree, background = new_world()
+    pixels = np.random.default_rng(0).random((8, 16, 4)).astype(np.float32)
+    pixels[..., 3] = 1
+    image = bpy.data.images.new("env", 16, 8, float_buffer=True)
+    image.pixels.foreach_set(pixels.ravel())
+    image.pack()
+    node = tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = image
+    tree.links.new(node.outputs[0], background.inputs["Color"])
+    baked = extract_world(bpy.context.scene).world.image
+    assert baked is not None
+    # bilinear between pixels: 0.005 pixels off the centre mix in half a percent per axis at most; half floats of a packed image
+    np.testing.assert_allclose(np.roll(baked, 8, axis=1), pixels[..., :3], atol=0.011)
