@@ -86,9 +86,10 @@ def tlas_of(scene: Path, states: Path, frame: int) -> Any:
 def table(full: dict[str, Any], culled: dict[str, Any], error: dict[str, dict[str, float]]) -> str:
     """Full against culled as a Markdown table."""
     a, b = full["frames"][0], culled["frames"][0]
+    peak_a, peak_b = full["totals"]["peak_bytes"], culled["totals"]["peak_bytes"]
 
-    def row(name: str, x: str, y: str, note: str = "") -> tuple[str, ...]:
-        return name, x, y, note
+    def row(name: str, x: str, y: str, times: str = "") -> tuple[str, ...]:
+        return name, x, y, times
 
     def ratio(x: float, y: float) -> str:
         return f"{x / y:.3g} times" if y > 0 else ""
@@ -103,7 +104,7 @@ def table(full: dict[str, Any], culled: dict[str, Any], error: dict[str, dict[st
         row("TLAS", "", size(b["tlas_bytes"])),
         *(row(label, f"{a[key]:.2f} s", f"{b[key]:.2f} s", ratio(a[key], b[key]) if key == "render_s" else "") for key, label in phases.items()),
         row("whole command", f"{full['process_s']:.2f} s", f"{culled['process_s']:.2f} s", ratio(full["process_s"], culled["process_s"])),
-        row("peak memory", *(size(r["totals"]["peak_bytes"]) for r in (full, culled)), ratio(full["totals"]["peak_bytes"], culled["totals"]["peak_bytes"])),
+        row("peak memory", size(peak_a), size(peak_b), ratio(peak_a, peak_b)),
     ]
     head = ("error against full", "another seed", "culled", "seed / culled")
     measures = {"flip": "mean FLIP", "relmse": "relMSE", "rmse": "RMSE, mean of tiles", "rmse_p99": "RMSE, 99 % of tiles"}

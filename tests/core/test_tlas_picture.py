@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lipac.core.scene import ALL_RAYS, Camera, Film, Instances, Mesh, Scene, World, default_material, world_bounds
+from lipac.core.scene import ALL_RAYS, LIGHT, Camera, Film, Instances, Mesh, Scene, World, default_material, world_bounds
 from lipac.core.tlas_picture import ACTIVE, HITBOX, PAPER, Viewpoint, render, tlas_picture
 
 
@@ -19,8 +19,8 @@ def _scene() -> Scene:
     index = np.zeros(2, np.int32)
     instances = Instances(transform, index, index, np.full(2, ALL_RAYS, np.uint8), world_bounds(transform, mesh_bounds, index))
     camera = Camera(np.eye(3, 4) + np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 5.0]]), np.array([-0.5, 0.5, -0.3, 0.3]))
-    materials = np.array([default_material()])
-    return Scene(instances, [mesh], mesh_bounds, np.zeros(1, np.int32), materials, np.zeros(0), World(np.ones(3, np.float32)), camera, Film(64, 36))
+    materials = default_material().reshape(1)
+    return Scene(instances, [mesh], mesh_bounds, np.zeros(1, np.int32), materials, np.zeros(0, LIGHT), World(np.ones(3, np.float32)), camera, Film(64, 36))
 
 
 DOWN = Viewpoint(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, -1.0]), 8.0, 20.0)
