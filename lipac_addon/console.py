@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 
 DEBUG = "LIPAC_DEBUG"
 
@@ -18,19 +18,25 @@ def debugging() -> bool:
 
 @contextmanager
 def muted() -> Iterator[None]:
-    """Redirect what is written to file descriptors 1 and 2, Blender's C code included; shown on stderr where LIPAC_DEBUG is set, else dropped."""
+    """Redirect what Python prints and what is written to file descriptors 1 and 2: shown on stderr where LIPAC_DEBUG is set, else dropped."""
+    _flush()
+    with ExitStack() as stack:
+        sink = os.dup(2) if debugging() else os.open(os.devnull, os.O_WRONLY)
+        text = stack.enter_context(os.fdopen(sink, "w"))
+        for fd in (1, 2):
+            saved = os.dup(fd)
+            stack.callback(os.close, saved)
+            stack.callback(os.dup2, saved, fd)
+            os.dup2(sink, fd)
+        stack.callback(_flush)
+        stack.enter_context(redirect_stdout(text))
+        stack.enter_context(redirect_stderr(text))
+        yield
+
+
+def _flush() -> None:
+    """Empty the buffers of Python and of C, so that what was printed lands where it belongs."""
     sys.stdout.flush()
     sys.stderr.flush()
-    saved = os.dup(1), os.dup(2)
-    with tempfile.TemporaryFile() as sink:
-        os.dup2(2 if debugging() else sink.fileno(), 1)
-        if not debugging():
-            os.dup2(sink.fileno(), 2)
-        try:
-            yield
-        finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            for fd, copy in enumerate(saved, 1):
-                os.dup2(copy, fd)
-                os.close(copy)
+    library = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
+    library.fflush(None)

@@ -24,12 +24,13 @@ def main(argv: Sequence[str]) -> int:
     from ..core.report import output_folder, replacing
 
     output_folder(args.output.parent)
-    import bpy
-
     from ..lipac_addon.console import muted
-    from ..lipac_addon.demo import build
 
     with muted():
+        import bpy
+
+        from ..lipac_addon.demo import build
+
         build(args.name, args.instances, args.seed)
         with replacing(args.output) as part:
             bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), check_existing=False, copy=True)

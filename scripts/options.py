@@ -119,7 +119,10 @@ def check(args: argparse.Namespace) -> None:
 def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = None) -> Report:
     """What `analyze` and `render` share: check, open, work through the frames, and print the table."""
     check(args)
-    import bpy
+    from ..lipac_addon.console import muted
+
+    with muted():
+        import bpy
 
     from ..core.report import Report
     from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
