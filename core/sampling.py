@@ -6,12 +6,14 @@ Every number is a hash of (seed, pixel, sample, dimension): no state, so results
 
 from __future__ import annotations
 
+from typing import Any
+
 import math
 
 import numpy as np
 from numba import njit
 
-OPTIONS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": False}
+OPTIONS: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": False}
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
