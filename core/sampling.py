@@ -6,9 +6,8 @@ Every number is a hash of (seed, pixel, sample, dimension): no state, so results
 
 from __future__ import annotations
 
-from typing import Any
-
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
