@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.scene import F32, F64, InstanceFlag, Instances, RayType, world_bounds
+from ...core.placing import compose_rows, finish
+from ...core.scene import F32, F64, InstanceFlag, Instances, RayType
 from ..keys import KEY, MAX_DEPTH, Keys, Kind
-from .meshes import LARGEST, MeshSource, describe, read
+from .meshes import MeshSource, describe, read
 
 GEOMETRY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL"}
-BLOCK = 1 << 16  # instances composed at a time: float64 temporaries of some MB
+BLOCK = 1 << 14  # instances composed at a time: their float64 temporaries stay in the cache
 VISIBLE = (1 << len(RayType)) - 1
 Ints = int | NDArray[Any]  # one for all, or one per placement
 
@@ -127,10 +128,10 @@ class Node:
     alone: bool = False  # shows its mesh only where it is not instanced
 
 
-
 @dataclass
 class _Chunk:
     transform: F32
+    bounds: F32
     mesh: int
     slots: int
     flags: Ints
@@ -394,11 +395,7 @@ class Collector:
             count = len(geometry.columns) if rows is None else len(rows)
             for start in range(0, len(at) * count, BLOCK):
                 flat = np.arange(start, min(start + BLOCK, len(at) * count))
-                placement: NDArray[Any] | slice
-                if len(at) == 1:
-                    placement, row = np.zeros(1, np.int64), flat
-                else:
-                    placement, row = flat // count, flat % count
+                placement, row = flat // count, flat % count
                 row = row if rows is None else rows[row]
                 child = self._place_rows(geometry, at, placement, row)
                 if isinstance(target, Node):
@@ -413,15 +410,9 @@ class Collector:
                     self._geometry_instances(target, owner, child, stack)
 
     @staticmethod
-    def _place_rows(geometry: Geometry, at: Placements, placement: NDArray[Any], row: NDArray[Any]) -> Placements:
-        columns = geometry.columns[row]
-        if len(at) == 1:  # the usual case, as one matrix product over all columns
-            transform = np.ascontiguousarray((columns.reshape(-1, 4).astype(np.float64) @ _square(at.transform[0]).T).reshape(-1, 4, 4)[:, :, :3])
-            transform = transform.transpose(0, 2, 1)
-            placement = np.zeros(len(row), np.int64)
-        else:
-            transform = compose(at.transform[placement], columns.transpose(0, 2, 1).astype(np.float64)[:, :3])
-
+    def _place_rows(geometry: Geometry, at: Placements, placement: NDArray[np.int64], row: NDArray[np.int64]) -> Placements:
+        transform = np.empty((len(row), 3, 4))
+        compose_rows(at.transform, placement, geometry.columns, row, transform)
         return at.inside(transform, placement, row.astype(np.int32))
 
     def _lamp(self, node: Node, at: Placements) -> None:
@@ -436,17 +427,20 @@ class Collector:
         if not isinstance(flags, int):
             flags = np.asarray(flags, np.uint8)
         seen = (flags & VISIBLE) != 0
-        good = usable_transforms(at.transform)
-        if not good.all():
-            self._dropped[self.meshes[mesh].name] = self._dropped.get(self.meshes[mesh].name, 0) + int((~good).sum())
-        good = good & seen
-        keep: Any = slice(None) if good.all() else good
-        path = tuple(_take(level, keep) for level in at.path)
-        placed = at.transform[keep]
-        if len(placed):
-            transform = placed.astype(np.float32)
-            transform[:, :, 3] = placed[:, :, 3] - self.origin
-            self._chunks.append(_Chunk(transform, mesh, slots, _take(flags, keep), _take(at.kind, keep), _take(at.host, keep), _take(name, keep), path))
+        count = len(at)
+        transform, bounds, good = np.empty((count, 3, 4), np.float32), np.empty((count, 2, 3), np.float32), np.empty(count, np.bool_)
+        low, high = self.meshes[mesh].bounds.astype(np.float64)
+        usable = finish(np.ascontiguousarray(at.transform), self.origin, low, high, transform, bounds, good)
+        keep: Any = slice(None)
+        if usable < count:
+            self._dropped[self.meshes[mesh].name] = self._dropped.get(self.meshes[mesh].name, 0) + count - usable
+        if usable < count or not np.all(seen):
+            keep = good & seen
+            transform, bounds = transform[keep], bounds[keep]
+        if len(transform):
+            path = tuple(_take(level, keep) for level in at.path)
+            flags = _take(flags, keep)
+            self._chunks.append(_Chunk(transform, bounds, mesh, slots, flags, _take(at.kind, keep), _take(at.host, keep), _take(name, keep), path))
 
     # Results
 
@@ -455,44 +449,34 @@ class Collector:
         for name, count in self._dropped.items():
             self.warnings.append(f"{count} instance{'s' if count > 1 else ''} of {name!r} left out: the transform is singular or not finite")
         total = sum(len(c.transform) for c in self._chunks)
-        transform = np.empty((total, 3, 4), np.float32)
+        transform, bounds = np.empty((total, 3, 4), np.float32), np.empty((total, 2, 3), np.float32)
         mesh, slots, flags = np.empty(total, np.int32), np.empty(total, np.int32), np.empty(total, np.uint8)
-        records = np.zeros(total, KEY)
-        paths = records["path"]
-        at = 0
+        records = np.empty(total, KEY)
+        blank = np.zeros((), KEY)
+        blank["path"] = -1
+        end = 0
         self._chunks.reverse()
         while self._chunks:
             c = self._chunks.pop()
-            part = slice(at, at + len(c.transform))
-            at = part.stop
-            transform[part] = c.transform
-            mesh[part], slots[part], flags[part] = c.mesh, c.slots, c.flags
-            records["kind"][part], records["host"][part], records["object"][part] = c.kind, c.host, c.object
-            for depth in range(MAX_DEPTH):
-                paths[part, depth] = c.path[depth] if depth < len(c.path) else -1
-        bounds = world_bounds(transform, self.mesh_bounds(), mesh)
+            part = slice(end, end + len(c.transform))
+            end = part.stop
+            transform[part], bounds[part], mesh[part], slots[part], flags[part] = c.transform, c.bounds, c.mesh, c.slots, c.flags
+            arrays = []
+            for name, value in (("kind", c.kind), ("host", c.host), ("object", c.object)):
+                if isinstance(value, int):
+                    blank[name] = value
+                else:
+                    arrays.append((name, value))
+            records[part] = blank
+            for name, value in arrays:
+                records[name][part] = value
+            for depth, level in enumerate(c.path):
+                records["path"][part, depth] = level
         return Instances(transform, mesh, slots, flags, bounds), Keys(records, tuple(self._names))
 
     def mesh_bounds(self) -> F32:
         """(M, 2, 3) float32."""
         return np.stack([m.bounds for m in self.meshes]) if self.meshes else np.zeros((0, 2, 3), np.float32)
-
-
-def _square(transform: F64) -> F64:
-    return np.concatenate((transform, [[0.0, 0.0, 0.0, 1.0]]))
-
-
-def usable_transforms(transform: F64) -> NDArray[np.bool_]:
-    """(n,) of (n, 3, 4): finite and not singular.
-
-    Singular: the determinant is below 1e-7 (float32's precision) of the product of the column lengths, or one of these is below 1e-18.
-    """
-    x, y, z = transform[:, :, 0], transform[:, :, 1], transform[:, :, 2]
-    with np.errstate(all="ignore"):
-        volume = np.abs(np.einsum("ni,ni->n", np.cross(x, y), z))
-        lengths = np.sqrt(np.einsum("nij,nij->nj", transform[:, :, :3], transform[:, :, :3]))
-        largest = np.abs(transform).max(axis=(1, 2))
-        return np.asarray((largest <= LARGEST) & (lengths.min(axis=1) > 1e-18) & (volume > 1e-7 * lengths.prod(axis=1)))
 
 
 def _visible_members(collection: Any) -> Iterator[Any]:
@@ -514,5 +498,3 @@ def _render_objects(layer: Any) -> Iterator[Any]:
         yield from layer.collection.objects
     for child in layer.children:
         yield from _render_objects(child)
-
-

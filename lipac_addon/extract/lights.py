@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ...core.placing import usable_transforms
 from ...core.scene import LIGHT, AreaShape, LightKind, Records
-from .instances import Lamp, usable_transforms
+from .instances import Lamp
 
 KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT, "AREA": LightKind.AREA}
 

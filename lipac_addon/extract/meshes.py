@@ -13,9 +13,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.placing import LARGEST
 from ...core.scene import F32, U32, Mesh
-
-LARGEST = 1.8e18  # Embree takes no coordinate beyond this (FLT_LARGE)
 
 
 @dataclass

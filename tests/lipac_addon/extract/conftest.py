@@ -28,7 +28,9 @@ def shared() -> Path:
     return SHARED.resolve()
 
 
-def add(name: str, data: Any = None, collection: Any = None, location: Any = (0, 0, 0), rotation: Any = (0, 0, 0), scale: Any = (1, 1, 1), parent: Any = None) -> Any:
+def add(
+    name: str, data: Any = None, collection: Any = None, location: Any = (0, 0, 0), rotation: Any = (0, 0, 0), scale: Any = (1, 1, 1), parent: Any = None
+) -> Any:
     """An object with the given data in a collection (default: the scene's)."""
     item = bpy.data.objects.new(name, data)
     (collection or bpy.context.scene.collection).objects.link(item)

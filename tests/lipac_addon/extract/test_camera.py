@@ -8,11 +8,12 @@ import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
+
 from lipac.core.errors import InputError
 from lipac.core.scene import Camera
 from lipac.lipac_addon.extract import add_framing_camera, extract_frame, frame_camera
 from lipac.lipac_addon.extract.camera import extract_camera, extract_film
-from mathutils import Vector
 
 from .conftest import add, cube
 
@@ -25,7 +26,9 @@ def project(camera: Camera, points: np.ndarray) -> np.ndarray:
     return (xy - [left, bottom]) / [right - left, top - bottom]
 
 
-@pytest.mark.parametrize(("kind", "fit", "size"), list(itertools.product(("PERSP", "ORTHO"), ("AUTO", "HORIZONTAL", "VERTICAL"), ((320, 180), (180, 320), (200, 200)))))
+@pytest.mark.parametrize(
+    ("kind", "fit", "size"), list(itertools.product(("PERSP", "ORTHO"), ("AUTO", "HORIZONTAL", "VERTICAL"), ((320, 180), (180, 320), (200, 200))))
+)
 def test_projection_is_blenders(kind: str, fit: str, size: tuple[int, int]) -> None:
     """Points project where `world_to_camera_view` and `view_frame` put them, whatever the shift, fit, aspect and object scale."""
     scene = bpy.context.scene

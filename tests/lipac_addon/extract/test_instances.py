@@ -9,9 +9,11 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+
+from lipac.core.placing import usable_transforms
 from lipac.core.scene import InstanceFlag, RayType
-from lipac.lipac_addon.extract import Extraction, ExtractedWorld, extract, extract_world, with_render_depsgraph
-from lipac.lipac_addon.extract.instances import full_name, ray_visibility, usable_transforms
+from lipac.lipac_addon.extract import ExtractedWorld, Extraction, extract, extract_world, with_render_depsgraph
+from lipac.lipac_addon.extract.instances import full_name, ray_visibility
 from lipac.lipac_addon.keys import Kind
 
 from .conftest import add, collection, cube, grid, instance_of, nodes, scattered, wedge
@@ -58,8 +60,9 @@ def fast(extraction: Extraction) -> Groups:
 def assert_same(a: Groups, b: Groups) -> None:
     """Equal up to order and to float32's rounding along chains of transforms.
 
-    Matrices are compared by random projections, sorted: equal multisets have equal sorted projections. Blender multiplies up to 8 matrices in float32, each product
-    sums 4 terms: 32 roundings of half an epsilon, of values up to the largest entry; a projection onto a unit vector of 12 entries adds a factor of sqrt(12).
+    Matrices are compared by random projections, sorted: equal multisets have equal sorted projections. Blender multiplies up to 8 matrices in float32,
+    each product sums 4 terms: 32 roundings of half an epsilon, of values up to the largest entry; a projection onto a unit vector of 12 entries adds a
+    factor of sqrt(12).
     """
     assert {k: len(v) for k, v in a.items()} == {k: len(v) for k, v in b.items()}
     random = np.random.default_rng(0)
@@ -213,7 +216,9 @@ def test_geometry_nodes_of_every_reference() -> None:
         primitive = new("GeometryNodeMeshIcoSphere", {}).outputs[0]
         inner = scattered(new, grid(new, 3, 2.0), new("GeometryNodeJoinGeometry", {0: [primitive, info(new, True)]}).outputs[0], 4)
         both = new("GeometryNodeJoinGeometry", {0: [inner, members(new, False), primitive]}).outputs[0]
-        return new("GeometryNodeJoinGeometry", {0: [scattered(new, grid(new, 3), new("GeometryNodeGeometryToInstance", {0: both}).outputs[0], 5), g]}).outputs[0]
+        return new("GeometryNodeJoinGeometry", {0: [scattered(new, grid(new, 3), new("GeometryNodeGeometryToInstance", {0: both}).outputs[0], 5), g]}).outputs[
+            0
+        ]
 
     nodes(hosts[3], nested)
     nodes(hosts[4], lambda g, new: new("GeometryNodeRealizeInstances", {0: scattered(new, grid(new, 4), info(new), 6)}).outputs[0])
@@ -234,7 +239,9 @@ def test_geometry_nodes_of_every_reference() -> None:
     nodes(last, lambda g, new: scattered(new, g, new("GeometryNodeObjectInfo", {"Object": empty, "As Instance": True}).outputs["Geometry"], 10))
     text = bpy.data.curves.new("text", "FONT")
     text.body, text.extrude = "a", 0.1
-    for k, (name, data) in enumerate((("hidden text", text), ("text", text), ("hidden cube", cube()))):  # hide_render does not reach instances of the object itself
+    for k, (name, data) in enumerate(
+        (("hidden text", text), ("text", text), ("hidden cube", cube()))
+    ):  # hide_render does not reach instances of the object itself
         hidden = add(name, data, location=(0, 0, 9))
         hidden.hide_render = name.startswith("hidden")
         if data is not text:
@@ -288,10 +295,14 @@ def test_particles() -> None:
     scatter = add("scatter", cube(), location=(0, 0, -60))
     nodes(scatter, lambda g, new: scattered(new, g, new("GeometryNodeMeshIcoSphere", {}).outputs[0]))
     hair(add("emitter 4", cube("emitter 4", 2.0), location=(40, 0, 0)), render_type="OBJECT", instance_object=scatter)
-    for k in range(2):  # beside nodes: that deform only, and that instance
+
+    def with_sphere(geometry: Any, new: Any) -> Any:
+        return new("GeometryNodeJoinGeometry", {0: [geometry, scattered(new, geometry, new("GeometryNodeMeshIcoSphere", {}).outputs[0])]}).outputs[0]
+
+    for k, build in enumerate((lambda g, new: g, with_sphere)):  # beside nodes: that only deform, and that instance
         both = add(f"both {k}", cube(f"both {k}", 4.0), location=(60, 20 * k, 0))
         hair(both, render_type="OBJECT", instance_object=leaf)
-        nodes(both, lambda g, new: g if k == 0 else new("GeometryNodeJoinGeometry", {0: [g, scattered(new, g, new("GeometryNodeMeshIcoSphere", {}).outputs[0])]}).outputs[0])  # noqa: B023
+        nodes(both, build)
     extraction = check()
     assert kinds(extraction)[Kind.PARTICLE] >= 60
 
@@ -321,7 +332,10 @@ def test_render_settings_of_modifiers() -> None:
     bevel = add("shown in render", cube(), location=(0, 9, 0)).modifiers.new("a", "ARRAY")
     bevel.count, bevel.show_render, bevel.show_viewport = 3, True, False
     extraction = check()
-    counts = {extraction.keys.names[k["object"]]: len(extraction.scene.meshes[m].triangles) for k, m in zip(extraction.keys.records, extraction.scene.instances.mesh, strict=True)}
+    counts = {
+        extraction.keys.names[k["object"]]: len(extraction.scene.meshes[m].triangles)
+        for k, m in zip(extraction.keys.records, extraction.scene.instances.mesh, strict=True)
+    }
     assert counts == {"subdivided": 6 * 16 * 2, "array": 12, "shown in render": 36}
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+
 from lipac.core.scene import AreaShape, LightKind, RayType, Records
 from lipac.lipac_addon.extract import Extraction, extract_frame
 

@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+
 from lipac.core.scene import MATERIAL, Extension, Records, Shader, Textures, default_material
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.extract.materials import MaterialTable
@@ -93,7 +94,27 @@ def test_principled_constants() -> None:
     record, _, lines = t.record(t.new("ShaderNodeBsdfPrincipled", values))
     assert not lines
     expected = default_material()
-    fields = dict(zip(("base_color metallic roughness diffuse_roughness ior specular_level specular_tint transmission alpha coat coat_roughness coat_ior coat_tint").split(), values.values(), strict=False))
+    fields = dict(
+        zip(
+            [
+                "base_color",
+                "metallic",
+                "roughness",
+                "diffuse_roughness",
+                "ior",
+                "specular_level",
+                "specular_tint",
+                "transmission",
+                "alpha",
+                "coat",
+                "coat_roughness",
+                "coat_ior",
+                "coat_tint",
+            ],
+            values.values(),
+            strict=False,
+        )
+    )
     for name, value in fields.items():
         expected[name] = value[:3] if isinstance(value, tuple) else value
     expected["emission"] = (4, 2, 1)

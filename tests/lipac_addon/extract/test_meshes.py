@@ -7,6 +7,7 @@ import gc
 import bpy
 import numpy as np
 import pytest
+
 from lipac.core.errors import InputError
 from lipac.lipac_addon.extract import extract_frame
 

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+
 from lipac.core.scene import RayType
 from lipac.lipac_addon.extract import extract_world
 from lipac.lipac_addon.extract import world as module
