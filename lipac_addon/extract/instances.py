@@ -128,17 +128,26 @@ class Node:
     alone: bool = False  # shows its mesh only where it is not instanced
 
 
-@dataclass
-class _Chunk:
-    transform: F32
-    bounds: F32
-    mesh: int
-    slots: int
-    flags: Ints
-    kind: Ints
-    host: Ints
-    object: Ints
-    path: tuple[Ints, ...]
+class _Output:
+    """The final arrays, grown as needed: untouched memory costs nothing, and no instance is copied twice."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.transform, self.bounds = np.empty((0, 3, 4), np.float32), np.empty((0, 2, 3), np.float32)
+        self.mesh, self.slots, self.flags = np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.uint8)
+        self.records = np.empty(0, KEY)
+
+    def reserve(self, more: int) -> None:
+        """Makes room for `more` instances."""
+        need = self.count + more
+        if need <= len(self.mesh):
+            return
+        capacity = max(need, 2 * len(self.mesh))
+        for name in ("transform", "bounds", "mesh", "slots", "flags", "records"):
+            old = getattr(self, name)
+            new = np.empty((capacity, *old.shape[1:]), old.dtype)
+            new[: self.count] = old[: self.count]
+            setattr(self, name, new)
 
 
 @dataclass
@@ -182,7 +191,7 @@ class Collector:
         self._nodes: dict[int, Node] = {}
         self._members: dict[int, Members] = {}
         self._meshes_of_data: dict[int, int] = {}
-        self._chunks: list[_Chunk] = []
+        self._output = _Output()
         self._dropped: dict[str, int] = {}
 
     # Reading Blender
@@ -393,6 +402,7 @@ class Collector:
             if target is None:
                 continue
             count = len(geometry.columns) if rows is None else len(rows)
+            self._output.reserve(len(at) * count)
             for start in range(0, len(at) * count, BLOCK):
                 flat = np.arange(start, min(start + BLOCK, len(at) * count))
                 placement, row = flat // count, flat % count
@@ -427,8 +437,10 @@ class Collector:
         if not isinstance(flags, int):
             flags = np.asarray(flags, np.uint8)
         seen = (flags & VISIBLE) != 0
-        count = len(at)
-        transform, bounds, good = np.empty((count, 3, 4), np.float32), np.empty((count, 2, 3), np.float32), np.empty(count, np.bool_)
+        out, count = self._output, len(at)
+        out.reserve(count)
+        room = slice(out.count, out.count + count)
+        transform, bounds, good = out.transform[room], out.bounds[room], np.empty(count, np.bool_)
         low, high = self.meshes[mesh].bounds.astype(np.float64)
         usable = finish(np.ascontiguousarray(at.transform), self.origin, low, high, transform, bounds, good)
         keep: Any = slice(None)
@@ -436,43 +448,32 @@ class Collector:
             self._dropped[self.meshes[mesh].name] = self._dropped.get(self.meshes[mesh].name, 0) + count - usable
         if usable < count or not np.all(seen):
             keep = good & seen
-            transform, bounds = transform[keep], bounds[keep]
-        if len(transform):
-            path = tuple(_take(level, keep) for level in at.path)
-            flags = _take(flags, keep)
-            self._chunks.append(_Chunk(transform, bounds, mesh, slots, flags, _take(at.kind, keep), _take(at.host, keep), _take(name, keep), path))
+            count = int(keep.sum())
+            transform[:count], bounds[:count] = transform[keep], bounds[keep]
+        part = slice(out.count, out.count + count)
+        out.count += count
+        out.mesh[part], out.slots[part], out.flags[part] = mesh, slots, _take(flags, keep)
+        record, arrays = np.zeros((), KEY), {}
+        record["path"] = -1
+        for field, value in (("kind", at.kind), ("host", at.host), ("object", name)):
+            if isinstance(value, int):
+                record[field] = value
+            else:
+                arrays[field] = value[keep]
+        out.records[part] = record
+        for field, values in arrays.items():
+            out.records[field][part] = values
+        for depth, level in enumerate(at.path):
+            out.records["path"][part, depth] = _take(level, keep)
 
     # Results
 
     def result(self) -> tuple[Instances, Keys]:
-        """All instances found, in a stable order; and their keys. To be called once: it frees as it goes."""
+        """All instances found, in a stable order; and their keys."""
         for name, count in self._dropped.items():
             self.warnings.append(f"{count} instance{'s' if count > 1 else ''} of {name!r} left out: the transform is singular or not finite")
-        total = sum(len(c.transform) for c in self._chunks)
-        transform, bounds = np.empty((total, 3, 4), np.float32), np.empty((total, 2, 3), np.float32)
-        mesh, slots, flags = np.empty(total, np.int32), np.empty(total, np.int32), np.empty(total, np.uint8)
-        records = np.empty(total, KEY)
-        blank = np.zeros((), KEY)
-        blank["path"] = -1
-        end = 0
-        self._chunks.reverse()
-        while self._chunks:
-            c = self._chunks.pop()
-            part = slice(end, end + len(c.transform))
-            end = part.stop
-            transform[part], bounds[part], mesh[part], slots[part], flags[part] = c.transform, c.bounds, c.mesh, c.slots, c.flags
-            arrays = []
-            for name, value in (("kind", c.kind), ("host", c.host), ("object", c.object)):
-                if isinstance(value, int):
-                    blank[name] = value
-                else:
-                    arrays.append((name, value))
-            records[part] = blank
-            for name, value in arrays:
-                records[name][part] = value
-            for depth, level in enumerate(c.path):
-                records["path"][part, depth] = level
-        return Instances(transform, mesh, slots, flags, bounds), Keys(records, tuple(self._names))
+        out, n = self._output, self._output.count
+        return Instances(out.transform[:n], out.mesh[:n], out.slots[:n], out.flags[:n], out.bounds[:n]), Keys(out.records[:n], tuple(self._names))
 
     def mesh_bounds(self) -> F32:
         """(M, 2, 3) float32."""
