@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 from numba import njit
 
 from . import ggx_albedo
@@ -66,7 +67,8 @@ C_HAS_EVAL = 6  # 1 where sampling lights makes sense: some lobe is neither sing
 # closure: the rest is private
 _COUNT = 7  # lobes in use
 _FRAME = 8  # copy of frame
-_LOBES = _FRAME + FRAME
+_PARAMS = _FRAME + FRAME  # copy of params
+_LOBES = _PARAMS + PARAMS
 
 # A lobe, from _LOBES + k * _LOBE
 _KIND = 0
@@ -86,8 +88,9 @@ _LOBE = 25
 _MAX_LOBES = 6  # transparent, coat, metal, glass, specular, diffuse
 CLOSURE = _LOBES + _MAX_LOBES * _LOBE
 
-_LAMBERT, _OREN_NAYAR, _TRANSLUCENT, _TRANSPARENT, _REFLECTION, _REFRACTION, _GLASS = range(7)
-_CONSTANT, _SCHLICK, _F82 = range(3)
+# Kinds are floats: they live in a float array, and numba would compile a function anew for each literal integer or boolean that it is called with.
+_LAMBERT, _OREN_NAYAR, _TRANSLUCENT, _TRANSPARENT, _REFLECTION, _REFRACTION, _GLASS = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
+_CONSTANT, _SCHLICK, _F82 = 0.0, 1.0, 2.0
 
 _CUTOFF = 1e-5  # lobes of less weight are dropped, as in Cycles
 _SINGULAR_ALPHA2 = 2e-10
@@ -103,11 +106,13 @@ _PRINCIPLED, _DIFFUSE_SHADER, _GLOSSY_SHADER, _GLASS_SHADER, _TRANSPARENT_SHADER
     int(Shader.TRANSLUCENT),
 )
 
-_tables = ggx_albedo.load()
-_E, _E_MEAN = _tables["reflection"], _tables["reflection_mean"]
-_GLASS_E, _GLASS_E_MEAN = _tables["glass"], _tables["glass_mean"]
-_INSIDE_E, _INSIDE_E_MEAN = _tables["glass_inside"], _tables["glass_inside_mean"]
-_SCHLICK_S, _SCHLICK_IOR_S = _tables["schlick"], _tables["schlick_ior"]
+# Energy tables, one after the other: a kernel holds one constant and one kind of lookup, which halves its compile time.
+_NAMES = ("reflection", "reflection_mean", "glass", "glass_mean", "glass_inside", "glass_inside_mean", "schlick", "schlick_ior")
+_loaded = ggx_albedo.load()
+_TABLES = np.concatenate([_loaded[name].ravel() for name in _NAMES])
+_SIZES = np.array([_loaded[name].shape for name in _NAMES])  # (8, 3) lengths of the axes z, cosine, roughness
+_OFFSETS = np.concatenate(([0], np.cumsum(_SIZES.prod(axis=1))[:-1]))
+_REFLECTION_E, _GLASS_E, _INSIDE_E, _SCHLICK_S, _SCHLICK_IOR_S = 0, 2, 4, 6, 7  # the mean of a table over cosines is the next one
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -116,17 +121,18 @@ def _clip(x: float) -> float:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _lookup(table: Any, z: float, y: float, x: float) -> float:
-    """Trilinear interpolation of table at coordinates in [0, 1] per axis."""
-    nz, ny, nx = table.shape
+def _lookup(which: int, z: float, y: float, x: float) -> float:
+    """Trilinear interpolation of a table at coordinates in [0, 1] per axis."""
+    nz, ny, nx = _SIZES[which, 0], _SIZES[which, 1], _SIZES[which, 2]
     z, y, x = _clip(z) * (nz - 1), _clip(y) * (ny - 1), _clip(x) * (nx - 1)
     k, j, i = int(z), int(y), int(x)
     z, y, x = z - k, y - j, x - i
     value = 0.0
-    for corner in range(8):
-        dk, dj, di = corner >> 2, (corner >> 1) & 1, corner & 1
-        w = (z if dk else 1.0 - z) * (y if dj else 1.0 - y) * (x if di else 1.0 - x)
-        value += w * table[min(k + dk, nz - 1), min(j + dj, ny - 1), min(i + di, nx - 1)]
+    for dk in range(min(2, nz - k)):
+        for dj in range(min(2, ny - j)):
+            row = _OFFSETS[which] + ((k + dk) * ny + j + dj) * nx
+            w = abs(1.0 - dk - z) * abs(1.0 - dj - y)
+            value += w * ((1.0 - x) * _TABLES[row + i] + x * _TABLES[row + min(i + 1, nx - 1)])
     return value
 
 
@@ -182,7 +188,7 @@ def _oren_nayar_g(cos: float) -> float:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _add_lobe(c: Any, kind: int, r: float, g: float, b: float, alpha: float, eta: float, n: Any) -> int:
+def _add_lobe(c: Any, kind: float, r: float, g: float, b: float, alpha: float, eta: float, n: Any) -> int:
     """Append a lobe of weight (r, g, b) with normal n; returns its offset in closure, -1 where it weighs too little to matter."""
     r, g, b = max(r, 0.0), max(g, 0.0), max(b, 0.0)
     pick = (r + g + b) / 3.0
@@ -204,7 +210,7 @@ def _add_lobe(c: Any, kind: int, r: float, g: float, b: float, alpha: float, eta
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float, preserve: bool) -> float:
+def _layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float) -> float:
     """Finish GGX lobe o: sampling weight, energy preservation. Returns the share of light that layers below it keep.
 
     fss: mean single-scattering Fresnel reflectance, which colours what bounces between microfacets (Kulla, Conty, "Revisiting physically based shading
@@ -215,19 +221,9 @@ def _layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float, preserve: b
     eta = c[o + _ETA]
     z = math.sqrt(abs((eta - 1.0) / (eta + 1.0)))
     kind = c[o + _FRESNEL]
-    s = 0.0
-    if kind == _SCHLICK:
-        s = _lookup(_SCHLICK_IOR_S, z, cos, rough)
-    elif kind == _F82:
-        s = _lookup(_SCHLICK_S, 0.0, cos, rough)
-    e, mean = 1.0, 1.0
-    if preserve:
-        if c[o + _KIND] == _REFLECTION:
-            e, mean = _lookup(_E, 0.0, cos, rough), _lookup(_E_MEAN, 0.0, 0.0, rough)
-        elif eta < 1.0:
-            e, mean = _lookup(_INSIDE_E, z, cos, rough), _lookup(_INSIDE_E_MEAN, z, 0.0, rough)
-        else:
-            e, mean = _lookup(_GLASS_E, z, cos, rough), _lookup(_GLASS_E_MEAN, z, 0.0, rough)
+    s = _lookup(_SCHLICK_IOR_S if kind == _SCHLICK else _SCHLICK_S, z, cos, rough)
+    table = _REFLECTION_E if c[o + _KIND] == _REFLECTION else (_INSIDE_E if eta < 1.0 else _GLASS_E)
+    e, mean = _lookup(table, z, cos, rough), _lookup(table + 1, z, 0.0, rough)
     c[o + _SCALE] = 1.0 / e
     albedo_sum, darkening_sum, keep = 0.0, 0.0, 1.0
     for k in range(3):
@@ -253,21 +249,16 @@ def _schlick(c: Any, o: int, f0: float, r: float, g: float, b: float) -> float:
     c[o + _FRESNEL] = _SCHLICK
     c[o + _F0], c[o + _F0 + 1], c[o + _F0 + 2] = _clip(f0 * r), _clip(f0 * g), _clip(f0 * b)
     eta = c[o + _ETA]
-    tr, tg, tb = c[o + _TINT_T], c[o + _TINT_T + 1], c[o + _TINT_T + 2]
-    if tr != 0.0 or tg != 0.0 or tb != 0.0:  # the colour of glass comes mostly from transmission
-        return _layer(c, o, tr, tg, tb, True)
     # Mean of the dielectric reflectance over cosines, fitted by Kulla and Conty (2017).
     fss = 0.997118 + eta * (0.1014 - eta * (0.965241 + eta * 0.130607)) if eta < 1.0 else (eta - 1.0) / (4.08567 + 1.00071 * eta)
     real = _f0(eta)
     s = _clip((fss - real) / (1.0 - real))
-    return _layer(
-        c,
-        o,
-        c[o + _TINT_R] * (c[o + _F0] + (1.0 - c[o + _F0]) * s),
-        c[o + _TINT_R + 1] * (c[o + _F0 + 1] + (1.0 - c[o + _F0 + 1]) * s),
-        c[o + _TINT_R + 2] * (c[o + _F0 + 2] + (1.0 - c[o + _F0 + 2]) * s),
-        True,
-    )
+    fr, fg, fb = c[o + _TINT_T], c[o + _TINT_T + 1], c[o + _TINT_T + 2]  # the colour of glass comes mostly from transmission
+    if fr == 0.0 and fg == 0.0 and fb == 0.0:
+        fr = c[o + _TINT_R] * (c[o + _F0] + (1.0 - c[o + _F0]) * s)
+        fg = c[o + _TINT_R + 1] * (c[o + _F0 + 1] + (1.0 - c[o + _F0 + 1]) * s)
+        fb = c[o + _TINT_R + 2] * (c[o + _F0 + 2] + (1.0 - c[o + _F0 + 2]) * s)
+    return _layer(c, o, fr, fg, fb)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -277,7 +268,7 @@ def _tints(c: Any, o: int, reflection: float, transmission: float) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _diffuse(c: Any, r: float, g: float, b: float, roughness: float, params: Any, n: Any) -> None:
+def _diffuse(c: Any, r: float, g: float, b: float, roughness: float, n: Any) -> None:
     """Lambert, or Fujii's Oren-Nayar with multiple scattering coloured by the base colour (https://mimosa-pudica.net/improved-oren-nayar.html)."""
     o = _add_lobe(c, _LAMBERT, r, g, b, 0.0, 1.0, n)
     if o < 0 or roughness < 1e-5:
@@ -290,7 +281,7 @@ def _diffuse(c: Any, r: float, g: float, b: float, roughness: float, params: Any
     c[o + _KIND] = _OREN_NAYAR
     c[o + _ALPHA], c[o + _ETA] = a, slope
     for k in range(3):
-        albedo = _clip(params[P_BASE + k])
+        albedo = _clip(c[_PARAMS + P_BASE + k])
         c[o + _F0 + k] = albedo * albedo / math.pi * (mean / (1.0 - mean)) / (1.0 - albedo * (1.0 - mean)) * lost
 
 
@@ -326,45 +317,45 @@ def _lift(c: Any, nx: float, ny: float, nz: float) -> tuple[float, float, float]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _principled(c: Any, params: Any, flags: int, n: Any, lifted: Any) -> None:
+def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
     """Lobes of the Principled BSDF, from the top: transparency, coat, metal | glass | specular over diffuse."""
     reflective, refractive = flags & NO_REFLECTIVE_CAUSTICS == 0, flags & NO_REFRACTIVE_CAUSTICS == 0
-    alpha = _clip(params[P_ALPHA])
+    alpha = _clip(c[_PARAMS + P_ALPHA])
     wr = wg = wb = alpha
     if alpha < 1.0:
         c[C_TRANSPARENCY] = c[C_TRANSPARENCY + 1] = c[C_TRANSPARENCY + 2] = 1.0 - alpha
         _add_lobe(c, _TRANSPARENT, 1.0 - alpha, 1.0 - alpha, 1.0 - alpha, 0.0, 1.0, n)
 
-    coat = max(params[P_COAT], 0.0)
+    coat = max(c[_PARAMS + P_COAT], 0.0)
     if coat > _CUTOFF:
-        ior = max(params[P_COAT_IOR], 1.0)
+        ior = max(c[_PARAMS + P_COAT_IOR], 1.0)
         smooth = _lift(c, c[_FRAME + F_NS], c[_FRAME + F_NS + 1], c[_FRAME + F_NS + 2])  # a normal map bends what lies below, not the coat
         cos = c[_FRAME] * smooth[0] + c[_FRAME + 1] * smooth[1] + c[_FRAME + 2] * smooth[2]
         if reflective:
-            o = _add_lobe(c, _REFLECTION, coat * wr, coat * wg, coat * wb, _clip(params[P_COAT_ROUGHNESS]) ** 2, ior, smooth)
+            o = _add_lobe(c, _REFLECTION, coat * wr, coat * wg, coat * wb, _clip(c[_PARAMS + P_COAT_ROUGHNESS]) ** 2, ior, smooth)
             if o >= 0:
                 _tints(c, o, 1.0, 0.0)
                 keep = _clip(1.0 - coat * (1.0 - _schlick(c, o, _f0(ior), 1.0, 1.0, 1.0)))
                 wr, wg, wb = wr * keep, wg * keep, wb * keep
         # Beer's law along the refracted ray; the tint is that of perpendicular light.
         depth = 1.0 / math.sqrt(1.0 - (1.0 - cos * cos) / (ior * ior))
-        wr *= 1.0 + coat * (max(params[P_COAT_TINT], 0.0) ** depth - 1.0)
-        wg *= 1.0 + coat * (max(params[P_COAT_TINT + 1], 0.0) ** depth - 1.0)
-        wb *= 1.0 + coat * (max(params[P_COAT_TINT + 2], 0.0) ** depth - 1.0)
+        wr *= 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT], 0.0) ** depth - 1.0)
+        wg *= 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT + 1], 0.0) ** depth - 1.0)
+        wb *= 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT + 2], 0.0) ** depth - 1.0)
     c[C_EMISSION], c[C_EMISSION + 1], c[C_EMISSION + 2] = wr, wg, wb
 
-    rough = _clip(params[P_ROUGHNESS]) ** 2
-    ior = max(params[P_IOR], 1e-5)
-    tint_r, tint_g, tint_b = max(params[P_SPECULAR_TINT], 0.0), max(params[P_SPECULAR_TINT + 1], 0.0), max(params[P_SPECULAR_TINT + 2], 0.0)
+    rough = _clip(c[_PARAMS + P_ROUGHNESS]) ** 2
+    ior = max(c[_PARAMS + P_IOR], 1e-5)
+    tint_r, tint_g, tint_b = max(c[_PARAMS + P_SPECULAR_TINT], 0.0), max(c[_PARAMS + P_SPECULAR_TINT + 1], 0.0), max(c[_PARAMS + P_SPECULAR_TINT + 2], 0.0)
 
-    metallic = _clip(params[P_METALLIC])
+    metallic = _clip(c[_PARAMS + P_METALLIC])
     if metallic > _CUTOFF:
         o = _add_lobe(c, _REFLECTION, metallic * wr, metallic * wg, metallic * wb, rough, 1.0, lifted) if reflective else -1
         if o >= 0:
-            _metal(c, o, params)
+            _metal(c, o)
         wr, wg, wb = wr * (1.0 - metallic), wg * (1.0 - metallic), wb * (1.0 - metallic)
 
-    transmission = _clip(params[P_TRANSMISSION])
+    transmission = _clip(c[_PARAMS + P_TRANSMISSION])
     if transmission > _CUTOFF:
         eta = 1.0 / ior if flags & BACKFACING else ior
         o = -1
@@ -373,11 +364,11 @@ def _principled(c: Any, params: Any, flags: int, n: Any, lifted: Any) -> None:
         if o >= 0:
             for k in range(3):
                 c[o + _TINT_R + k] = 1.0 if reflective else 0.0
-                c[o + _TINT_T + k] = math.sqrt(_clip(params[P_BASE + k])) if refractive else 0.0
+                c[o + _TINT_T + k] = math.sqrt(_clip(c[_PARAMS + P_BASE + k])) if refractive else 0.0
             _schlick(c, o, _f0(ior), tint_r, tint_g, tint_b)
         wr, wg, wb = wr * (1.0 - transmission), wg * (1.0 - transmission), wb * (1.0 - transmission)
 
-    level = max(params[P_SPECULAR_LEVEL], 0.0)
+    level = max(c[_PARAMS + P_SPECULAR_LEVEL], 0.0)
     f0, eta = _f0(ior), ior
     if level != 0.5:
         f0 *= 2.0 * level
@@ -392,26 +383,26 @@ def _principled(c: Any, params: Any, flags: int, n: Any, lifted: Any) -> None:
             keep = _schlick(c, o, f0, tint_r, tint_g, tint_b)
             wr, wg, wb = wr * keep, wg * keep, wb * keep
 
-    base_r, base_g, base_b = max(params[P_BASE], 0.0), max(params[P_BASE + 1], 0.0), max(params[P_BASE + 2], 0.0)
-    _diffuse(c, wr * base_r, wg * base_g, wb * base_b, _clip(params[P_DIFFUSE_ROUGHNESS]), params, n)
+    base_r, base_g, base_b = max(c[_PARAMS + P_BASE], 0.0), max(c[_PARAMS + P_BASE + 1], 0.0), max(c[_PARAMS + P_BASE + 2], 0.0)
+    _diffuse(c, wr * base_r, wg * base_g, wb * base_b, _clip(c[_PARAMS + P_DIFFUSE_ROUGHNESS]), n)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _metal(c: Any, o: int, params: Any) -> None:
+def _metal(c: Any, o: int) -> None:
     """F82-tint Fresnel: base colour at normal incidence; the specular tint darkens Schlick's curve at acos(1/7)."""
     c[o + _FRESNEL] = _F82
     _tints(c, o, 1.0, 0.0)
     s = 6.0 / 7.0
     s5 = s * s * s * s * s
     for k in range(3):
-        f0 = _clip(params[P_BASE + k])
+        f0 = _clip(c[_PARAMS + P_BASE + k])
         c[o + _F0 + k] = f0
-        c[o + _EDGE + k] = (f0 + (1.0 - f0) * s5) * (7.0 / (s5 * s)) * (1.0 - _clip(params[P_SPECULAR_TINT + k]))
+        c[o + _EDGE + k] = (f0 + (1.0 - f0) * s5) * (7.0 / (s5 * s)) * (1.0 - _clip(c[_PARAMS + P_SPECULAR_TINT + k]))
     # Mean reflectance: integral of 2 cos * F82(cos).
     r = c[o + _F0] + (1.0 - c[o + _F0]) / 21.0 - c[o + _EDGE] / 126.0
     g = c[o + _F0 + 1] + (1.0 - c[o + _F0 + 1]) / 21.0 - c[o + _EDGE + 1] / 126.0
     b = c[o + _F0 + 2] + (1.0 - c[o + _F0 + 2]) / 21.0 - c[o + _EDGE + 2] / 126.0
-    _layer(c, o, r, g, b, True)
+    _layer(c, o, r, g, b)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -424,6 +415,8 @@ def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -
     for k in range(3):
         c[C_EMISSION + k] = 1.0
         c[C_TRANSPARENCY + k] = 0.0
+    for k in range(PARAMS):
+        c[_PARAMS + k] = params[k]
     c[_COUNT] = 0.0
     # In float64 unit vectors are unit to 1e-16; 1e-7 would show in the sharpest lobes.
     for k in range(0, FRAME, 3):
@@ -432,14 +425,14 @@ def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -
         c[_FRAME + k], c[_FRAME + k + 1], c[_FRAME + k + 2] = x * scale, y * scale, z * scale
     n = (c[_FRAME + F_N], c[_FRAME + F_N + 1], c[_FRAME + F_N + 2])
     lifted = _lift(c, n[0], n[1], n[2])
-    r, g, b = max(params[P_BASE], 0.0), max(params[P_BASE + 1], 0.0), max(params[P_BASE + 2], 0.0)
-    rough = _clip(params[P_ROUGHNESS]) ** 2
-    eta = max(params[P_IOR], 1e-5)
+    r, g, b = max(c[_PARAMS + P_BASE], 0.0), max(c[_PARAMS + P_BASE + 1], 0.0), max(c[_PARAMS + P_BASE + 2], 0.0)
+    rough = _clip(c[_PARAMS + P_ROUGHNESS]) ** 2
+    eta = max(c[_PARAMS + P_IOR], 1e-5)
     reflective, refractive = flags & NO_REFLECTIVE_CAUSTICS == 0, flags & NO_REFRACTIVE_CAUSTICS == 0
     if shader == _PRINCIPLED:
-        _principled(c, params, flags, n, lifted)
+        _principled(c, flags, n, lifted)
     elif shader == _DIFFUSE_SHADER:
-        _diffuse(c, r, g, b, _clip(params[P_DIFFUSE_ROUGHNESS]), params, n)
+        _diffuse(c, r, g, b, _clip(c[_PARAMS + P_DIFFUSE_ROUGHNESS]), n)
     elif shader == _TRANSLUCENT_SHADER:
         _add_lobe(c, _TRANSLUCENT, r, g, b, 0.0, 1.0, lifted)
     elif shader == _TRANSPARENT_SHADER:
@@ -448,14 +441,14 @@ def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -
     elif shader == _GLOSSY_SHADER and reflective:
         o = _add_lobe(c, _REFLECTION, r, g, b, rough, 1.0, lifted)
         if o >= 0:
-            _layer(c, o, r, g, b, True)
+            _layer(c, o, r, g, b)
     elif shader == _REFRACTION_SHADER and refractive:
         _add_lobe(c, _REFRACTION, r, g, b, rough, 1.0 / eta if flags & BACKFACING else eta, lifted)
     elif shader == _GLASS_SHADER and (reflective or refractive):
         o = _add_lobe(c, _GLASS, 1.0, 1.0, 1.0, rough, 1.0 / eta if flags & BACKFACING else eta, lifted)
         if o >= 0:
             for k in range(3):
-                tint = max(params[P_BASE + k], 0.0)
+                tint = max(c[_PARAMS + P_BASE + k], 0.0)
                 c[o + _TINT_R + k], c[o + _TINT_T + k] = tint if reflective else 0.0, tint if refractive else 0.0
             _schlick(c, o, _f0(eta), 1.0, 1.0, 1.0)
     _mark(c)
@@ -484,7 +477,7 @@ def bsdf_blur(closure: Any, alpha: float) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _bump_shadowing(c: Any, o: int, wx: float, wy: float, wz: float, sampled: bool) -> float:
+def _bump_shadowing(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float) -> float:
     """What a bent normal leaves of light from w: none from behind the smooth surface, and for diffuse lobes a soft terminator.
 
     (Conty Estevez, Lecocq, Stein, "A microfacet-based shadowing function to solve the bump terminator problem", Ray Tracing Gems, 2019.)
@@ -495,7 +488,7 @@ def _bump_shadowing(c: Any, o: int, wx: float, wy: float, wz: float, sampled: bo
     cos_sn = sx * nx + sy * ny + sz * nz
     cos_nw = nx * wx + ny * wy + nz * wz
     diffuse = c[o + _KIND] <= _TRANSLUCENT
-    if cos_sw * cos_sn * cos_nw < 0.0 and (diffuse or not sampled):
+    if cos_sw * cos_sn * cos_nw < 0.0 and (diffuse or sampled == 0.0):
         return 0.0
     cos_i, cos_d = abs(cos_sw), abs(cos_sn)
     if not diffuse or cos_d >= 1.0 or cos_i >= 1.0:
@@ -506,15 +499,15 @@ def _bump_shadowing(c: Any, o: int, wx: float, wy: float, wz: float, sampled: bo
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: bool, out: Any) -> float:
-    """Add lobe o's weighted f * |cos| towards w to out[O_WEIGHT:]; returns its pdf. sampled: w was sampled from this lobe."""
+def _add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float, out: Any) -> float:
+    """Add lobe o's weighted f * |cos| towards w to out[O_WEIGHT:]; returns its pdf. sampled: 1 where w was sampled from this lobe."""
     kind = c[o + _KIND]
     nx, ny, nz = c[o + _N], c[o + _N + 1], c[o + _N + 2]
     cos_o = nx * wx + ny * wy + nz * wz
     shadow = 1.0
-    if c[o + _BUMPED] != 0.0 and not (sampled and cos_o < 0.0):
+    if c[o + _BUMPED] != 0.0 and not (sampled != 0.0 and cos_o < 0.0):
         shadow = _bump_shadowing(c, o, wx, wy, wz, sampled)
-        if shadow == 0.0 and not sampled:
+        if shadow == 0.0 and sampled == 0.0:
             return 0.0
     ix, iy, iz = c[_FRAME + F_WI], c[_FRAME + F_WI + 1], c[_FRAME + F_WI + 2]
     cos_i = nx * ix + ny * iy + nz * iz
@@ -581,7 +574,7 @@ def bsdf_eval(closure: Any, wx: float, wy: float, wz: float, out: Any) -> None:
     out[O_WEIGHT] = out[O_WEIGHT + 1] = out[O_WEIGHT + 2] = 0.0
     pdf, picks = 0.0, 0.0
     for o in range(_LOBES, _LOBES + int(closure[_COUNT]) * _LOBE, _LOBE):
-        pdf += closure[o + _PICK] * _add_eval(closure, o, wx, wy, wz, False, out)
+        pdf += closure[o + _PICK] * _add_eval(closure, o, wx, wy, wz, 0.0, out)
         picks += closure[o + _PICK]
     for k in range(3):
         out[k] = out[O_WEIGHT + k]
@@ -711,7 +704,7 @@ def bsdf_sample(closure: Any, u0: float, u1: float, u2: float, out: Any) -> int:
 
     pdf = 0.0
     for other in range(_LOBES, end, _LOBE):
-        pdf += c[other + _PICK] * _add_eval(c, other, wx, wy, wz, other == o, out)
+        pdf += c[other + _PICK] * _add_eval(c, other, wx, wy, wz, 1.0 if other == o else 0.0, out)
     pdf /= picks
     if not pdf > 0.0:
         return 0
