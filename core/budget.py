@@ -1,7 +1,7 @@
 """An error budget instead of a threshold: cull the set that saves most while the picture changes by no more than was allowed.
 
-Every path knows what it gathered behind each instance that it met, and every shadow ray what light its blocker denied. Summed per instance and coarse tile
-of the picture, relative to the tile's brightness, that is what the instance is worth there.
+Feedback says what each instance is worth in each coarse tile of the picture (`feedback.Weights`). Selection culls what is cheap under both bounds; calibration
+traces what is left with the same random numbers, measures what really changed, and selects again until the bounds hold.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ import numpy as np
 from numba import njit
 
 from .errors import InputError
-from .scene import F64, I32, I64
+from .scene import F32, F64, I32, I64
 
-COLUMNS, ROWS = 16, 9  # coarse tiles of the picture, over which the worst is bounded
-TILES = COLUMNS * ROWS
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
 
 @dataclass(frozen=True)
@@ -70,16 +69,6 @@ def _greedy(order, weights, mean_bound, tile_bound):
     return cull, sums
 
 
-def relative_weights(light: I64, brightness: F64, scale: float) -> F64:
-    """What each instance is worth in each tile, relative to the tile: (A, T) float64.
-
-    light: (A, T) int64 fixed-point luminance of `scale` units to one, gathered behind or denied by each instance; brightness: (T,) float64 luminance of each
-    tile, summed over the same paths. Dark tiles are judged against a hundredth of the mean, below which no display shows a change.
-    """
-    floor = 0.01 * brightness.mean()
-    return light / scale / np.maximum(brightness, max(floor, 1e-30))[None, :]
-
-
 def saved_cost(mesh: I32, bytes_of: I64) -> F64:
     """Bytes that culling each of A instances saves: its TLAS entry, and its share of the BLAS that it shares with the others of the A. (A,) float64."""
     users = np.bincount(mesh, minlength=len(bytes_of))
@@ -103,3 +92,23 @@ def unseen_share(hits: I64, paths: int) -> float:
     hits: (N,) int64 rays that met each instance; paths: how many were traced. A path that meets such an instance is taken to be wholly wrong.
     """
     return float((hits == 1).sum()) / max(paths, 1)
+
+
+def tile_means(picture: F32, columns: int, rows: int) -> F64:
+    """Mean luminance of the tiles of a picture (H, W, 3 or 4): (rows * columns,) float64, in rows from the first."""
+    height, width = picture.shape[:2]
+    luminance = picture[..., :3].astype(np.float64) @ LUMINANCE
+    y, x = np.arange(height) * rows // height, np.arange(width) * columns // width
+    tile = y[:, None] * columns + x[None, :]
+    sums = np.bincount(tile.ravel(), luminance.ravel(), rows * columns)
+    return sums / np.maximum(np.bincount(tile.ravel(), minlength=rows * columns), 1)
+
+
+def change(full: F32, culled: F32, columns: int, rows: int) -> tuple[float, float]:
+    """Relative change of a picture against the full one, traced with the same random numbers: mean over tiles, and of the worst tile.
+
+    Dark tiles are judged against a hundredth of the mean, as the weights are.
+    """
+    a, b = tile_means(full, columns, rows), tile_means(culled, columns, rows)
+    relative = np.abs(b - a) / np.maximum(a, max(0.01 * a.mean(), 1e-30))
+    return float(relative.mean()), float(relative.max())

@@ -7,7 +7,39 @@ from dataclasses import dataclass
 import numpy as np
 
 from .hitboxes import Hitboxes
-from .scene import I64, RAY_TYPES
+from .scene import F64, I64, RAY_TYPES
+
+COLUMNS, ROWS = 16, 9  # coarse tiles of the picture
+_FIXED = float(1 << 20)  # units of fixed point to the picture's mean luminance
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What TLAS entries are worth to the picture, in fixed point: order and threads do not matter.
+
+    light: (A, T) int64, luminance that paths gathered behind entry a in tile t, or at least what they carried times the mean luminance, since something that
+    bright may stand behind it; and what its blocking denied to shadow rays. total: (T,) int64, luminance of all paths of a tile. Tiles in rows from the bottom.
+    ambient: mean luminance of the picture. unit: luminance of one unit.
+    """
+
+    light: I64
+    total: I64
+    ambient: float
+    unit: float
+
+    @staticmethod
+    def zeros(entries: int, ambient: float) -> Weights:
+        """Nothing gathered yet, for a TLAS of that many entries; ambient: mean luminance expected."""
+        ambient = max(ambient, 1e-30)
+        return Weights(np.zeros((entries, COLUMNS * ROWS), np.int64), np.zeros(COLUMNS * ROWS, np.int64), ambient, ambient / _FIXED)
+
+    def relative(self) -> F64:
+        """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64.
+
+        Dark tiles are judged against a hundredth of the mean, below which no display shows a change.
+        """
+        total = self.total.astype(np.float64)
+        return self.light / np.maximum(total, max(0.01 * total.mean(), 1.0))
 
 
 @dataclass
@@ -16,18 +48,19 @@ class Feedback:
 
     hits: (N, RAY_TYPES) int64, rays of a type whose closest hit was the instance; in the column SHADOW: shadow rays that it blocked, or that arrived at it
     where it is an emitter. boxes: (H, RAY_TYPES) int64, ray segments that crossed the hitbox. hitboxes: their Embree scene (uint64), 0 for none.
-    paths: how many camera paths made these counts.
+    paths: how many camera paths made these counts. weights: what the light was worth, where it is asked for.
     """
 
     hits: I64
     boxes: I64
     hitboxes: np.uint64
     paths: int = 0
+    weights: Weights | None = None
 
     @staticmethod
-    def zeros(instances: int, boxes: Hitboxes | None = None) -> Feedback:
+    def zeros(instances: int, boxes: Hitboxes | None = None, weights: Weights | None = None) -> Feedback:
         """Nothing met yet."""
         hits = np.zeros((instances, RAY_TYPES), np.int64)
         if boxes is None:
-            return Feedback(hits, np.zeros((0, RAY_TYPES), np.int64), np.uint64(0))
-        return Feedback(hits, boxes.counters, boxes.handle)
+            return Feedback(hits, np.zeros((0, RAY_TYPES), np.int64), np.uint64(0), weights=weights)
+        return Feedback(hits, boxes.counters, boxes.handle, weights=weights)
