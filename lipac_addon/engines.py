@@ -37,7 +37,7 @@ def render_blender(engine: str, stem: Path, samples: int | None = None, seed: in
     Raises InputError where Blender cannot render. Ctrl-C during the render ends the process at once, for Blender cannot be asked to stop.
     """
     scene = bpy.context.scene
-    with _render_settings(scene, engine, samples, seed, threads), _stats(progress):
+    with _render_settings(scene, engine, samples, seed, threads), _no_file_outputs(), _stats(progress):
         start = time.perf_counter()
         try:
             with muted(), _ctrl_c_ends_the_process():
@@ -86,6 +86,16 @@ def _render_settings(scene: bpy.types.Scene, engine: str, samples: int | None, s
         else:
             sampling = {"samples": samples or samples_of(scene, engine), "seed": seed, "use_animated_seed": False}
             stack.enter_context(changed(scene.cycles, device="CPU", **sampling))
+        yield
+
+
+@contextmanager
+def _no_file_outputs() -> Iterator[None]:
+    """Mute the compositor's File Output nodes: they would overwrite files of the user's."""
+    trees = (tree for tree in bpy.data.node_groups if tree.type == "COMPOSITING")
+    with ExitStack() as stack:
+        for node in [node for tree in trees for node in tree.nodes if node.type == "OUTPUT_FILE"]:
+            stack.enter_context(changed(node, mute=True))
         yield
 
 

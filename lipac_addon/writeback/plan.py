@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...core.scene import Records
 from ..keys import Keys, Kind
-from .references import References, instances_others, is_animated, takes_modifiers
+from .references import References, instances_others, is_animated, simulates, takes_modifiers
 
 Mask = NDArray[np.bool_]
 
@@ -21,6 +21,7 @@ MISSING = "its object is gone"
 ANIMATED = "render visibility is animated"
 METABALL = "metaballs merge: one cannot be hidden alone"
 MORE = "its object also shows lights, volumes or hair"
+SIMULATION = "its object takes part in a simulation"
 PICKED = "a particle system picks from its collection"
 FEEDS = "its host is itself instanced by another object"
 LINKED = "its host takes no modifier: linked from a library, or of a type without modifiers"
@@ -147,6 +148,8 @@ class _Planner:
             return METABALL
         if self.references.carries_more(ob):
             return MORE
+        if simulates(ob):
+            return SIMULATION
         if self.references.picked_by_particles(ob):
             return PICKED
         if instances_others(ob) and self.references.feeds(ob):

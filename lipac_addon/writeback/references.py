@@ -9,6 +9,7 @@ import bpy
 _KINDS = {"OBJECT", "COLLECTION", "NODETREE", "PARTICLE"}
 _DUPLI = {"VERTS", "FACES"}
 _SHOWN_BY_PARTICLES = {"OBJECT", "COLLECTION"}
+_SIMULATION = {"COLLISION", "FLUID", "DYNAMIC_PAINT"}
 # What a render shows and instances of geometry do not stand for
 _OTHER_TYPES = {"LIGHT", "LIGHT_PROBE", "VOLUME", "GREASEPENCIL", "GPENCIL"}
 
@@ -78,6 +79,12 @@ def takes_modifiers(ob: bpy.types.Object) -> bool:
 def instances_others(ob: bpy.types.Object) -> bool:
     """Whether an object may make instances of others."""
     return ob.instance_type != "NONE" or bool(ob.particle_systems) or _has_nodes(ob)
+
+
+def simulates(ob: bpy.types.Object) -> bool:
+    """Whether an object may act on others in a simulation: a hidden collider or force field is none in a render."""
+    field = ob.field is not None and ob.field.type != "NONE"
+    return field or ob.rigid_body is not None or any(m.type in _SIMULATION for m in ob.modifiers)
 
 
 def is_animated(ob: bpy.types.Object, path: str) -> bool:

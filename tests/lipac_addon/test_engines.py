@@ -1,5 +1,6 @@
 """Renders by Blender's engines leave the scene as it was, and by the path tracer."""
 
+import bpy
 import numpy as np
 import pytest
 
@@ -28,6 +29,21 @@ def test_cycles(boxes, tmp_path):
     assert a.shape[:2] == (36, 64)
     assert (a == b).all()
     assert (a != c).any()
+
+
+def test_file_outputs_write_nothing(boxes, tmp_path):
+    tree = boxes.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    layers, output, file = (tree.nodes.new(n) for n in ("CompositorNodeRLayers", "NodeGroupOutput", "CompositorNodeOutputFile"))
+    file.directory = str(tmp_path / "theirs")
+    file.file_output_items.new("RGBA", "Image")
+    for socket in (output.inputs[0], file.inputs[0]):
+        tree.links.new(layers.outputs["Image"], socket)
+    render_blender("cycles", tmp_path / "a", samples=1)
+    assert not (tmp_path / "theirs").exists()
+    assert not file.mute
+    bpy.ops.render.render()
+    assert (tmp_path / "theirs").exists()  # Blender alone would have written
 
 
 def test_eevee(boxes, tmp_path):

@@ -270,6 +270,14 @@ def animated() -> None:
     driven.driver_add("hide_render").driver.expression = "0"
 
 
+def simulation() -> None:
+    """A collider and a force field."""
+    link(triangle("collider")).modifiers.new("collision", "COLLISION")
+    field = link(triangle("field"), at=(1, 0, 0))
+    bpy.context.view_layer.objects.active = field
+    bpy.ops.object.forcefield_toggle()
+
+
 def metaballs() -> None:
     for k in range(2):
         ob = link(bpy.data.objects.new("ball" if k == 0 else f"ball.{k:03}", bpy.data.metaballs.new("ball")), at=(k, 0, 0))
@@ -288,6 +296,7 @@ SCENES = (
     particle_collection,
     duplis,
     animated,
+    simulation,
     metaballs,
 )
 

@@ -91,6 +91,7 @@ def test_record_survives_saving(any_scene, census_keys, snapshot, tmp_path):
         ("particle_collection", 1.0, "a particle system picks from its collection"),
         ("duplis", 0.5, "single vertex and face duplicates cannot be removed"),
         ("animated", 1.0, "render visibility is animated"),
+        ("simulation", 1.0, "its object takes part in a simulation"),
         ("metaballs", 1.0, "metaballs merge: one cannot be hidden alone"),
     ],
 )
