@@ -57,6 +57,17 @@ def changed(target: Any, **values: Any) -> Iterator[None]:
 
 
 @contextmanager
+def no_new_images() -> Iterator[None]:
+    """Removes images that appear meanwhile: the first render of a file adds its "Render Result"."""
+    before = {image.as_pointer() for image in bpy.data.images}
+    try:
+        yield
+    finally:
+        for image in [i for i in bpy.data.images if i.as_pointer() not in before]:
+            bpy.data.images.remove(image)
+
+
+@contextmanager
 def _some_camera(scene: Any) -> Iterator[None]:
     """A render needs a camera object; without one a stand-in at the origin is linked for as long as the render lasts."""
     if scene.camera is not None:
@@ -95,7 +106,7 @@ def with_render_depsgraph(scene: Any, frame: int | None, callback: Callable[[Any
             errors.append(error)
 
     render = scene.render
-    with _registered(), _some_camera(scene), changed(render, engine=ENGINE, use_compositing=False, use_sequencer=False, use_multiview=False):
+    with _registered(), no_new_images(), _some_camera(scene), changed(render, engine=ENGINE, use_compositing=False, use_sequencer=False, use_multiview=False):
         ExtractEngine.callback = call
         try:
             bpy.ops.render.render(layer=layer, scene=scene.name)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.scene import ALL_RAYS, F32, RayType, World
-from .depsgraph import changed
+from .depsgraph import changed, no_new_images
 
 BAKE_HEIGHT = 512  # of worlds without an image
 MAX_HEIGHT = 2048
@@ -86,7 +86,6 @@ def extract_world(scene: Any, view_layer: Any = None) -> ExtractedWorld:
 @contextmanager
 def _bake_scene(world: Any) -> Iterator[Any]:
     """A scene with nothing but a copy of the world, and a camera that sees all directions."""
-    before = set(bpy.data.images)
     copy = world.copy()
     copy.cycles_visibility.camera = True
     scene = bpy.data.scenes.new(".lipac world bake")
@@ -103,13 +102,11 @@ def _bake_scene(world: Any) -> Iterator[Any]:
         bpy.data.objects.remove(item)
         bpy.data.cameras.remove(camera)
         bpy.data.worlds.remove(copy)
-        for image in set(bpy.data.images) - before:
-            bpy.data.images.remove(image)
 
 
 def bake(world: Any, height: int, samples: int) -> F32:
     """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `core.scene.World.image`. Raises InputError if Cycles fails."""
-    with _bake_scene(world) as scene, tempfile.TemporaryDirectory() as folder:
+    with no_new_images(), _bake_scene(world) as scene, tempfile.TemporaryDirectory() as folder:
         scene.render.engine = "CYCLES"
         scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 2 * height, height, 100
         scene.render.use_compositing = scene.render.use_sequencer = False

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lipac.core.errors import InputError
-from lipac.lipac_addon.extract import extract_frame
+from lipac.lipac_addon.extract import extract_frame, with_render_depsgraph
 
 from .conftest import add, cube, wedge
 
@@ -96,3 +96,26 @@ def test_nothing_to_render() -> None:
     add("empty")
     with pytest.raises(InputError, match="nothing to render"):
         extract_frame(bpy.context.scene)
+
+
+def test_extraction_changes_nothing() -> None:
+    """Settings and datablocks are as before, also when the callback fails."""
+    add("cube", cube())
+    scene = bpy.context.scene
+    scene.camera = None
+
+    def state() -> tuple[object, ...]:
+        names = ("objects", "cameras", "scenes", "worlds", "meshes", "images", "collections")
+        render = scene.render
+        return (render.engine, render.use_compositing, render.use_sequencer, scene.camera, scene.frame_current, *[len(getattr(bpy.data, n)) for n in names])
+
+    before = state()
+    extract_frame(scene, allow_no_camera=True)
+    assert state() == before
+
+    def fail(_: object) -> None:
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        with_render_depsgraph(scene, None, fail)
+    assert state() == before
