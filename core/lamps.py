@@ -44,7 +44,7 @@ def lamp_constants(lights: Records) -> F32:
     sun_area = np.where(half > 0, np.pi * np.sin(half) ** 2, 1.0)
     area = np.select([kind == SUN, kind == AREA], [sun_area, rect_area], sphere_area)
     area = np.where(lights["normalize"] != 0, area, 1.0)
-    factor = np.select([kind == SUN, kind == AREA], [1.0 / area, 1 / (4 * area)], 1 / (np.pi * area))
+    factor = np.where(kind == SUN, 1.0 / area, 1 / (np.pi * area))
     out[:, K_RADIANCE : K_RADIANCE + 3] = lights["power"] * factor[:, None]
     out[:, K_RADIUS] = np.where((kind == POINT) | (kind == SPOT), radius, 0)
     cos_half = np.cos(lights["spot_size"].astype(np.float64) / 2)

@@ -225,11 +225,10 @@ _RAY_AT = 0
 _SHADOW_AT = _RAY_AT + 4 * RAY
 _QUERY_AT = _SHADOW_AT + 4 * RAY
 _CLOSURE_AT = _QUERY_AT + 8 * (QUERY + QUERY % 2)
-_FAR_CLOSURE_AT = _CLOSURE_AT + 8 * CLOSURE
-_REST_AT = _FAR_CLOSURE_AT + 8 * CLOSURE
-_PART = 128  # bytes of each of the small parts
+_FAR_CLOSURE_AT = _CLOSURE_AT + 8 * (CLOSURE + CLOSURE % 2)
+_REST_AT = _FAR_CLOSURE_AT + 8 * (CLOSURE + CLOSURE % 2)
+_PART = (max(8 * OUT, 4 * SURF, 4 * FRAME, 4 * PARAMS, 4 * LIGHT_SAMPLE) + 63) // 64 * 64  # of each of the small parts
 _WORK = _REST_AT + 12 * _PART
-assert max(8 * OUT, 4 * SURF, 4 * FRAME, 4 * PARAMS, 4 * LIGHT_SAMPLE) <= _PART and CLOSURE % 2 == 0
 
 
 @njit(**OPTIONS)
