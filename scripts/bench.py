@@ -1,0 +1,183 @@
+"""`lipac bench -o DIR`: the project's speed as ratios to peers, all measured in one run on one machine."""
+
+from __future__ import annotations
+
+import json
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from . import compare
+from .compare import CULLED, FULL, OTHER_SEED, cores, markdown
+
+PARTS = ("rays", "paths", "extraction", "city", "compiling")
+CITY = 1_000_000
+CITY_OPTIONS = ("--resolution", "320x180", "--samples", "4")
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run what is not measured yet, write benchmarks.json and benchmarks.md, print the table; returns the exit status."""
+    from ..core.report import output_folder
+    from .options import Parser
+
+    parser = Parser(prog="lipac bench", description="Measure against peers; parts already measured in DIR are kept.")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--only", choices=PARTS, action="append", help="measure only this part, again; may be repeated")
+    parser.add_argument("--repeats", type=int, default=3, help="runs of each command of the part 'city' (default: %(default)s)")
+    parser.add_argument("--run", choices=PARTS, help="measure one part in this process and write DIR/PART.json (what the parts' processes are called with)")
+    args = parser.parse_args(argv)
+    folder = output_folder(args.output)
+    if args.run:
+        result = measure(args.run, folder, args.repeats)
+        (folder / f"{args.run}.json").write_text(json.dumps(result | {"machine": machine()}, indent=1) + "\n")
+        return 0
+    for name in args.only or [part for part in PARTS if not (folder / f"{part}.json").exists()]:
+        print(f"measuring {name}", file=sys.stderr, flush=True)
+        command = [sys.executable, "-m", "lipac.scripts.lipac", "bench", "-o", str(folder), "--run", name, "--repeats", str(args.repeats)]
+        if subprocess.run(command, stdout=sys.stderr, check=False).returncode:
+            print(f"lipac bench: part '{name}' failed and is left out", file=sys.stderr)
+    results = {name: json.loads((folder / f"{name}.json").read_text()) for name in PARTS if (folder / f"{name}.json").exists()}
+    text = report(results)
+    (folder / "benchmarks.json").write_text(json.dumps(results, indent=1) + "\n")
+    (folder / "benchmarks.md").write_text(text)
+    print(text)
+    return 0
+
+
+def measure(name: str, folder: Path, repeats: int) -> dict[str, Any]:
+    """The figures of one part."""
+    if name == "extraction":
+        return extraction()
+    if name == "city":
+        return city(folder, repeats)
+    from . import bench_tracing
+
+    part: dict[str, Any] = getattr(bench_tracing, name)(folder)
+    return part
+
+
+def extraction() -> dict[str, Any]:
+    """Seconds to pull a million geometry-nodes instances out of Blender, against a Python loop over `object_instances` that reads what the extraction reads."""
+    import bpy
+
+    from ..lipac_addon.demo import build
+    from ..lipac_addon.extract import extract
+    from .bench_tracing import interleaved
+
+    build("mirror-city", CITY)
+    graph = bpy.context.evaluated_depsgraph_get()
+    counts: dict[str, int] = {}
+
+    def ours() -> float:
+        start = time.perf_counter()
+        counts["ours"] = len(extract(graph).scene.instances)
+        return time.perf_counter() - start
+
+    def loop() -> float:
+        start = time.perf_counter()
+        n = 0
+        for instance in graph.object_instances:
+            n += instance.object is not None and len(instance.matrix_world) == 4
+        counts["object_instances"] = n
+        return time.perf_counter() - start
+
+    ours()
+    took = interleaved({"ours": ours, "object_instances": loop}, 3)
+    return {"instances": counts, "seconds": took, "ratio": took["object_instances"] / took["ours"]}
+
+
+def city(folder: Path, repeats: int) -> dict[str, Any]:
+    """mirror-city with a million instances: full and culled Cycles renders as whole commands, their peak memory, and the error."""
+    scene = folder / "city.blend"
+    compare.lipac("demo", "mirror-city", "-o", scene, "--instances", str(CITY))
+    runs: dict[str, list[dict[str, Any]]] = {FULL: [], CULLED: []}
+    compare.render(scene, folder, CULLED, CITY_OPTIONS)  # kernels compiled, file in the system's cache
+    for _ in range(repeats):
+        for name, done in runs.items():
+            done.append(compare.render(scene, folder, name, CITY_OPTIONS))
+    compare.render(scene, folder, OTHER_SEED, CITY_OPTIONS)
+
+    def median(name: str, value: Any) -> float:
+        return statistics.median(value(run) for run in runs[name])
+
+    out: dict[str, Any] = {"command": " ".join(("lipac render city.blend --engine cycles", *CITY_OPTIONS)), "error": compare.errors(folder)}
+    for name, done in runs.items():
+        frames = [run["frames"][0] for run in done]
+        seconds = {key: statistics.median(f[key] for f in frames) for key in frames[0] if key.endswith("_s")}
+        counts = {key: frames[-1][key] for key in ("instances", "active", "hitboxes", "blas_bytes", "tlas_bytes")}
+        # From the open file to the picture: the interpreter's start and the reading of the file are the same for both.
+        out[name] = seconds | counts | {"work_s": median(name, lambda r: sum(v for k, v in r["frames"][0].items() if k.endswith("_s")))}
+        out[name] |= {"process_s": median(name, lambda r: r["process_s"]), "peak_bytes": median(name, lambda r: r["totals"]["peak_bytes"])}
+    return out
+
+
+def machine() -> str:
+    """What the figures were measured on."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        model = next((line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")), model)
+    packages = []
+    for name in ("bpy", "numba", "embreex", "mitsuba"):
+        try:
+            packages.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            continue
+    return f"{model}, {cores()} cores, {platform.system()}, Python {platform.python_version()}, {', '.join(packages)}"
+
+
+def report(results: dict[str, Any]) -> str:
+    """benchmarks.md."""
+    rows: list[tuple[str, ...]] = [("what", "peer", "ours", "peer's", "ratio", "target")]
+
+    def row(what: str, peer: str, ours: str, theirs: str, ratio: float, target: str) -> None:
+        rows.append((what, peer, ours, theirs, f"{ratio:.3g}", target))
+
+    if "rays" in results:
+        if "skipped" in results["rays"]:
+            rows.append(("rays with feedback", "bare Embree loop in C", "", "", results["rays"]["skipped"], ">= 0.85"))
+        for case in results["rays"].get("cases", ()):
+            what = f"rays with feedback: {case['rays']}, {case['case']}"
+            row(what, "bare Embree loop in C", f"{case['ours'] / 1e6:.2f} M/s", f"{case['bare'] / 1e6:.2f} M/s", case["ratio"], ">= 0.85")
+    if "paths" in results:
+        speeds = results["paths"]["paths_per_s"]
+        for peer in (p for p in speeds if p != "ours"):
+            target = ">= 1" if peer.startswith("Mitsuba") else ""
+            ours, theirs = speeds["ours"], speeds[peer]
+            row("path tracing, 10,000 spheres", peer, f"{ours / 1e6:.2f} M paths/s", f"{theirs / 1e6:.2f} M paths/s", ours / theirs, target)
+    if "extraction" in results:
+        ours, theirs = (results["extraction"]["seconds"][name] for name in ("ours", "object_instances"))
+        row("1M instances out of Blender", "object_instances", f"{ours:.3f} s", f"{theirs:.2f} s", theirs / ours, ">= 50")
+    if "city" in results:
+        full, culled, error = (results["city"][name] for name in (FULL, CULLED, "error"))
+        for key, label in (("work_s", "1M instances: open file to picture"), ("process_s", "1M instances: whole command")):
+            row(label, "--cull none", f"{culled[key]:.1f} s", f"{full[key]:.1f} s", full[key] / culled[key], ">= 5")
+        ours, theirs = culled["peak_bytes"], full["peak_bytes"]
+        row("1M instances: peak memory", "--cull none", compare.size(ours), compare.size(theirs), ours / theirs, "<= 0.4")
+        for metric in ("flip", "relmse"):
+            a, b = error[CULLED][metric], error[OTHER_SEED][metric]
+            row(f"1M instances: error ({metric})", "another seed", f"{a:.4f}", f"{b:.4f}", a / b, "<= 1")
+    if "compiling" in results:
+        took = results["compiling"]
+        rows.append(("compiling all kernels, once", "", f"{took['compile_s']:.1f} s", "", "", "<= 40 s"))
+        rows.append(("scene loaded to first picture, cached", "", f"{took['warm_s']:.1f} s", "", "", "<= 3 s"))
+    machines = sorted({result["machine"] for result in results.values()})
+    notes = ["Ratios are ours to the peer's: speeds as they are, seconds inverted (the peer's over ours), memory and error as they are."]
+    if "paths" in results:
+        means = ", ".join(f"{name} {value:.4f}" for name, value in results["paths"]["mean_radiance"].items())
+        notes.append(f"Mean radiance of the spheres: {means}. Cycles' speed is that of its sampling alone.")
+    if "city" in results:
+        notes.append(f"The city: `{results['city']['command']}`, with and without `--cull none`.")
+    return "\n\n".join(["# Benchmarks", f"`lipac bench` on {'; '.join(machines)}.", markdown(rows), *notes]) + "\n"
+
+
+if __name__ == "__main__":
+    import runpy
+
+    sys.exit(runpy.run_path(str(Path(__file__).with_name("by_path.py")))["run"]("bench"))
