@@ -74,7 +74,7 @@ def extract_world(scene: Any, view_layer: Any = None) -> ExtractedWorld:
         lines.append(f"world {world.name}: Light Path node, all rays see what the camera sees")
     sizes = [n.image.size[1] for n in nodes if n.type in {"TEX_ENVIRONMENT", "TEX_IMAGE"} and n.image is not None]
     height = int(np.clip(max([BAKE_HEIGHT, *sizes]), 1, MAX_HEIGHT))
-    sun = any(n.type == "TEX_SKY" and n.sun_disc for n in nodes)
+    sun = any(n.type == "TEX_SKY" and n.sun_disc and n.sky_type not in {"PREETHAM", "HOSEK_WILKIE"} for n in nodes)
     if sun:
         lines.append(f"world {world.name}: the sun disc of the sky is sampled at {180 / height:.2f} degrees a pixel")
     if max(sizes, default=0) > MAX_HEIGHT:

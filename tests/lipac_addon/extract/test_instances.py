@@ -127,10 +127,13 @@ def test_every_object_type_with_faces() -> None:
     ball = bpy.data.metaballs.new("ball")
     ball.elements.new()
     add("lone ball", ball, held)
+    balls = collection("balls")
+    add("other family", ball, balls, location=(20, 0, 0))
+    instance_of("instanced balls", balls, location=(0, 9, 0))
     add("text 2", text, held)
     instance_of("empty", held, location=(0, 0, 5))
     extraction = check()
-    assert kinds(extraction) == {Kind.OBJECT: 4, Kind.COLLECTION: 1}
+    assert kinds(extraction) == {Kind.OBJECT: 5, Kind.COLLECTION: 1}
 
 
 def test_linked_duplicates_share_a_mesh() -> None:

@@ -52,8 +52,8 @@ def image(pixels: np.ndarray, name: str = "image", data: bool = False, floats: b
 
 
 def random_pixels(seed: int = 0) -> np.ndarray:
-    """(2, 4, 4) with values a byte holds, opaque."""
-    pixels = np.random.default_rng(seed).integers(0, 256, (2, 4, 4)) / 255
+    """(16, 8, 4) with values a byte holds, opaque."""
+    pixels = np.random.default_rng(seed).integers(0, 256, (16, 8, 4)) / 255
     pixels[..., 3] = 1
     return pixels
 
@@ -275,7 +275,7 @@ def test_gltf_import(tmp_path: Path) -> None:
     """A textured material through Blender's own glTF exporter and importer: factors, ORM channels, normal map, emission, alpha, texture transform."""
     t = Tree()
     color, orm, normal, emission = random_pixels(3), random_pixels(4), random_pixels(5), random_pixels(6)
-    color[..., 3] = np.random.default_rng(7).integers(1, 256, (2, 4)) / 255
+    color[..., 3] = np.random.default_rng(7).integers(1, 256, (16, 8)) / 255
     place = t.new("ShaderNodeMapping", {"Vector": t.new("ShaderNodeUVMap", uv_map="UVMap").outputs[0], "Scale": (2, 2, 1)})
     tex = {
         name: t.new("ShaderNodeTexImage", {"Vector": place.outputs[0]}, image=image(p, name, data))
