@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from ..core.budget import Budget
 from ..core.culling import POLICIES, CullOptions
 from ..core.errors import InputError
 from ..core.progress import Progress, Terminal, silent
@@ -38,7 +39,8 @@ def scene_parser(command: str, description: str) -> Parser:
     parser.add_argument("--camera", metavar="NAME", help="camera to use; 'auto' frames the whole scene (default: the scene's)")
     culling = parser.add_argument_group("culling")
     culling.add_argument("--cull", choices=POLICIES, default="light-paths", help="what decides (default: %(default)s)")
-    culling.add_argument("--min-share", type=number, metavar="S", help="light-paths: keep what at least this share of paths meets")
+    culling.add_argument("--max-error", type=Budget.parse, metavar="E[,T]", help="light-paths: share by which the picture, and its worst tile, may change")
+    culling.add_argument("--min-share", type=number, metavar="S", help="light-paths: instead of an error, keep what at least this share of paths meets")
     culling.add_argument("--paths", type=count, metavar="N", help="light-paths: paths per pixel of the analysis")
     culling.add_argument("--solid-angle", type=number, metavar="DEG", help="solid-angle: keep what spans at least this angle")
     culling.add_argument("--distance", type=number, metavar="M", help="distance: keep what is nearer than this")
@@ -97,7 +99,7 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
 
 def cull_options(args: argparse.Namespace) -> CullOptions:
     """The culling options of a command line; what it does not say has the defaults of `core`."""
-    given = {name: getattr(args, name) for name in ("min_share", "paths", "solid_angle", "distance", "margin")}
+    given = {name: getattr(args, name) for name in ("max_error", "min_share", "paths", "solid_angle", "distance", "margin")}
     return CullOptions(policy=args.cull, seed=args.seed, threads=args.threads, **{name: value for name, value in given.items() if value is not None})
 
 

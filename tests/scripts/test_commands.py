@@ -160,6 +160,7 @@ BAD = [
     (["render", "BLEND", "-o", "out", "--threads", "-1"], "--threads"),
     (["render", "BLEND", "-o", "out", "--seed", "-1"], "--seed"),
     (["render", "BLEND", "-o", "out", "--distance", "nan"], "not a number"),
+    (["render", "BLEND", "-o", "out", "--max-error", "2"], "--max-error 2"),
     (["render", "BLEND", "-o", "out", "--camera", "x"], "no camera 'x'"),
     (["render", "BLEND", "-o", "out", "--engine", "x"], "invalid choice"),
     (["demo", "x", "-o", "x.blend"], "no demo scene"),
