@@ -12,9 +12,8 @@ import numpy as np
 from numba import njit
 
 from .errors import InputError
+from .film import LUMINANCE
 from .scene import F32, F64, I32, I64
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from .budget import Budget
 from .errors import InputError
 from .scene import F32, F64, Camera, Instances, Scene
 
@@ -31,7 +32,8 @@ class CullOptions:
 
     policy: one of POLICIES. margin: `frustum`, share of the picture (Cycles' default). distance: metres from the camera; for `distance`.
     solid_angle: degrees that an instance's bounding sphere must span; for `solid-angle`.
-    min_share: `light-paths`: an instance stays if at least this share of the paths meets it. paths: per pixel, for the final measurement.
+    max_error: `light-paths`: how much the picture may change. min_share: `light-paths` by plain counts instead: an instance stays if at least this share of the
+    paths meets it. paths: per pixel, for the measurement of both.
     width: of the analysis picture in pixels (its height follows the film). nearest: boxes of a ray that are counted at a cold start.
     """
 
@@ -39,8 +41,9 @@ class CullOptions:
     margin: float = 0.1
     distance: float = 50.0
     solid_angle: float = 1.0
-    min_share: float = 2e-5
-    paths: int = 4
+    max_error: Budget = Budget(0.01, 0.05)
+    min_share: float | None = None
+    paths: int = 8
     width: int = 240
     nearest: int = 4
     max_iterations: int = 64

@@ -12,6 +12,7 @@ from .sampling import OPTIONS
 from .scene import F32, Film
 
 FILTER_SIZE = 1024
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
 
 @dataclass(frozen=True)

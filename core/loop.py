@@ -7,6 +7,7 @@ few paths meet is culled again.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,19 +15,22 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .blas import BlasCache
+from .budget import Budget, Selection, change, saved_cost, select, unseen_share
 from .culling import CullOptions, State, heuristic
 from .embree import Device, shared_device
 from .errors import Cancelled
-from .feedback import Feedback
+from .feedback import COLUMNS, ROWS, Feedback, Weights
+from .film import LUMINANCE, Picture
 from .hitboxes import Hitboxes
 from .progress import Progress, part, silent
 from .regions import Cut, Regions
 from .scene import F32, I64, RAY_TYPES, U8, Scene
 from .tlas import Tlas
-from .tracer import prepare, trace
+from .tracer import Prepared, prepare, trace
 
 COLD_HITS = 4  # segments of one round that must cross a box before it is opened: fewer is chance
 SETTLED = 0.005  # segments per path that still ask for a box when the cold start ends
+CALIBRATIONS = 3  # traces of the culled scene at most
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,8 @@ class Loop:
         # What has no extent to meet takes no part: no triangles, or a transform that is not finite.
         self.exists = (instances.bounds[:, 0] <= instances.bounds[:, 1]).all(axis=1) & np.isfinite(instances.bounds).all(axis=(1, 2))
         self.active = np.zeros(len(instances), bool)
-        self.rounds = self.paths = self.rays = 0
+        self.rounds = self.paths = self.rays = self.next_sample = 0
+        self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         height = max(1, round(options.width * scene.film.height / scene.film.width))
         self.size = (min(options.width, scene.film.width), min(height, scene.film.height))
         start = time.perf_counter()
@@ -95,15 +100,41 @@ class Loop:
         self.timer.add("build_s", start)
         return tlas
 
-    def trace(self, tlas: Tlas, boxes: Hitboxes | None, samples: int, progress: Progress = silent) -> Feedback:
-        """Trace samples paths per pixel of the analysis picture, with random numbers that no earlier round used."""
+    def trace(
+        self, tlas: Tlas, samples: int, boxes: Hitboxes | None = None, weights: Weights | None = None, progress: Progress = silent
+    ) -> tuple[Feedback, F32]:
+        """Trace samples paths per pixel of the analysis picture, with random numbers that no earlier round used. Returns feedback and mean picture."""
         start = time.perf_counter()
-        feedback = Feedback.zeros(len(self.scene.instances), boxes)
+        feedback = Feedback.zeros(len(self.scene.instances), boxes, weights)
+        picture = self._trace(self.prepared, tlas, samples, self.next_sample, feedback, progress)
+        self.next_sample += samples
+        self.paths += picture.paths
+        self.rays += picture.rays
+        feedback.paths = picture.paths
+        self.timer.add("trace_s", start)
+        return feedback, picture.mean
+
+    def trace_again(self, keep: np.ndarray, first_sample: int, samples: int, progress: Progress = silent) -> F32:
+        """The mean picture with only keep (N,) bool in the scene, by the same random numbers as a trace that began at first_sample.
+
+        Culled emitters are still picked by light sampling, and give nothing: other picks would be other random numbers.
+        """
+        tlas = self.build(keep)
+        start = time.perf_counter()
+        flags = np.where(keep, self.scene.instances.flags, np.uint8(0))
+        instances = dataclasses.replace(self.scene.instances, flags=flags)
+        prepared = self.prepared.with_instances(instances)
+        picture = self._trace(prepared, tlas, samples, first_sample, None, progress)
+        self.rays += picture.rays
+        self.timer.add("trace_s", start)
+        return picture.mean
+
+    def _trace(self, prepared: Prepared, tlas: Tlas, samples: int, first_sample: int, feedback: Feedback | None, progress: Progress) -> Picture:
         picture = trace(
-            self.prepared,
+            prepared,
             tlas,
             samples=samples,
-            first_sample=self.paths // max(self.size[0] * self.size[1], 1),
+            first_sample=first_sample,
             seed=self.options.seed,
             feedback=feedback,
             nearest=self.options.nearest,
@@ -114,11 +145,7 @@ class Loop:
         )
         if self.cancelled():
             raise Cancelled
-        self.paths += picture.paths
-        self.rays += picture.rays
-        feedback.paths = picture.paths
-        self.timer.add("trace_s", start)
-        return feedback
+        return picture
 
     def cold_start(self, progress: Progress = silent) -> None:
         """Rounds of one path per pixel from nothing built, until no box is asked for any more."""
@@ -129,7 +156,8 @@ class Loop:
             cut = self.regions.cut(self.active)
             boxes = Hitboxes(cut.bounds, self.device)
             self.timer.add("build_s", start)
-            feedback = self.trace(tlas, boxes, 1)
+            feedback, picture = self.trace(tlas, 1, boxes)
+            self.ambient = float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean())
             if self._ask(cut, feedback) < SETTLED:
                 return
             progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.active.sum()):,} of {len(self.active):,} instances active")
@@ -145,12 +173,8 @@ class Loop:
         self.timer.add("feedback_s", start)
         return float(crossings[asked].sum()) / max(feedback.paths, 1)
 
-    def measure(self, progress: Progress = silent) -> Feedback:
-        """Real hits of the active set, by the number of paths per pixel that the options ask for."""
-        return self.trace(self.build(self.active), None, self.options.paths, progress)
-
-    def result(self, keep: np.ndarray, hits: I64, paths: int) -> CullingResult:
-        """States for keep (N,) bool, with the final structures built and counted."""
+    def result(self, keep: np.ndarray, score: F32, hits: I64, **figures: float | int) -> CullingResult:
+        """States for keep (N,) bool, with the final structures built and counted; figures go into the stats."""
         tlas = self.build(keep)
         self.blas.keep_only(self.scene.instances.mesh[keep])
         start = time.perf_counter()
@@ -173,8 +197,8 @@ class Loop:
             "paths": self.paths,
             "rays": self.rays,
             "iterations": self.rounds,
+            **figures,
         }
-        score = (hits.sum(axis=1) / max(paths, 1)).astype(np.float32)
         return CullingResult(state, score, hits, cut.bounds, stats)
 
 
@@ -184,14 +208,66 @@ def analyze(scene: Scene, options: CullOptions, progress: Progress = silent, can
     Raises Cancelled where cancelled() says so, MemoryError where Embree runs out.
     """
     loop = Loop(scene, options, cancelled)
-    n = len(scene.instances)
     if options.policy != "light-paths":
-        keep = heuristic(scene, options) & loop.exists
-        return loop.result(keep, np.zeros((n, RAY_TYPES), np.int64), 0)
-    loop.cold_start(part(progress, 0.0, 0.7, "light paths ask for geometry, "))
-    feedback = loop.measure(part(progress, 0.7, 1.0, "measuring, "))
-    start = time.perf_counter()
+        n = len(scene.instances)
+        return loop.result(heuristic(scene, options) & loop.exists, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
+    loop.cold_start(part(progress, 0.0, 0.5, "light paths ask for geometry, "))
+    if options.min_share is not None:
+        return by_counts(loop, options.min_share, part(progress, 0.5, 1.0, "measuring, "))
+    return by_budget(loop, options.max_error, part(progress, 0.5, 1.0))
+
+
+def by_counts(loop: Loop, min_share: float, progress: Progress = silent) -> CullingResult:
+    """Keep what at least min_share of the paths meet; the score is that share."""
+    feedback, _ = loop.trace(loop.build(loop.active), loop.options.paths, progress=progress)
     met = feedback.hits.sum(axis=1)
-    keep = loop.active & (met > 0) & (met >= options.min_share * feedback.paths)
+    keep = loop.active & (met > 0) & (met >= min_share * feedback.paths)
+    return loop.result(keep, (met / max(feedback.paths, 1)).astype(np.float32), feedback.hits)
+
+
+def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> CullingResult:
+    """Cull what saves most while the picture changes by no more than the budget; the score is the share of the picture that an instance is worth.
+
+    What each instance is worth alone does not say what many are worth together, nor what lies behind them. So the culled scene is traced with the same random
+    numbers and compared, and the selection is tightened until both bounds hold, or loosened once where they hold by far.
+    """
+    options, instances = loop.options, loop.scene.instances
+    tlas = loop.build(loop.active)
+    weights = Weights.zeros(len(instances), tlas.ids, loop.ambient)
+    first_sample = loop.next_sample
+    feedback, full = loop.trace(tlas, options.paths, None, weights, part(progress, 0.0, 0.4, "measuring, "))
+    start = time.perf_counter()
+    worth = weights.relative()
+    saved = saved_cost(instances.mesh[tlas.ids], loop.blas.bytes_of)
+    unseen = unseen_share(feedback.hits.sum(axis=1), feedback.paths)
     loop.timer.add("feedback_s", start)
-    return loop.result(keep, feedback.hits, feedback.paths)
+    scale, best = 1.0, None
+    for attempt in range(CALIBRATIONS):
+        start = time.perf_counter()
+        chosen = select(worth, saved, budget.mean * scale, budget.worst * scale, min(unseen, 0.5 * budget.mean * scale))
+        keep = np.zeros(len(instances), bool)
+        keep[tlas.ids[~chosen.cull]] = True
+        loop.timer.add("feedback_s", start)
+        if chosen.cull.any():
+            picture = loop.trace_again(keep, first_sample, options.paths, part(progress, 0.4 + 0.2 * attempt, 0.6 + 0.2 * attempt, "calibrating, "))
+            mean, worst = change(full, picture, COLUMNS, ROWS)
+        else:
+            mean = worst = 0.0
+        excess = max(mean / max(budget.mean, 1e-30), worst / max(budget.worst, 1e-30)) if mean or worst else 0.0
+        if excess <= 1.0 and (best is None or scale > best[0]):
+            best = (scale, keep, chosen, mean, worst)
+        if excess > 1.0 and best is None:
+            scale *= max(0.8 / excess, 0.1)
+        elif best is not None and attempt == 0 and excess < 0.5 and chosen.cull.any() and not chosen.cull.all():
+            scale *= min(0.8 / max(excess, 0.1), 4.0)
+        else:
+            break
+    if best is None:  # nothing that was tried holds: keep everything that was met
+        keep = np.zeros(len(instances), bool)
+        keep[tlas.ids[worth.any(axis=1)]] = True
+        best = (0.0, keep, Selection(np.zeros(len(tlas), bool), unseen, 0.0), 0.0, 0.0)
+    _, keep, chosen, mean, worst = best
+    score = np.zeros(len(instances), np.float32)
+    score[tlas.ids] = worth.mean(axis=1)
+    error = {"predicted_mean": chosen.mean, "predicted_worst": chosen.worst, "calibrated_mean": mean, "calibrated_worst": worst}
+    return loop.result(keep, score, feedback.hits, **error)

@@ -43,7 +43,8 @@ from .embree import DIR, FLAGS, GEOM_ID, HIT_U, HIT_V, ID, INST_ID, INST_PRIM_ID
 from .embree import _intersect1 as rtc_intersect
 from .embree import _occluded1 as rtc_occluded
 from .environment import environment_radiance
-from .film import filter_offset
+from .feedback import COLUMNS, ROWS, TILES
+from .film import LUMINANCE, filter_offset
 from .hitboxes import QUERY, count_crossings
 from .lamps import FAR, LAMP, lamp_hit, lamp_share
 from .lights import (
@@ -113,10 +114,13 @@ SETTINGS = 17
 BOTH, LIGHT_ONLY, BSDF_ONLY = 0, 1, 2  # I_STRATEGY: for tests, all agree in the mean
 
 # limits, float32[LIMITS]: clamps (sum over channels, FAR where off), inverse of filter glossy (0: off), exposure, world colour
-V_CLAMP_DIRECT, V_CLAMP_INDIRECT, V_FILTER_GLOSSY, V_EXPOSURE, V_WORLD = 0, 1, 2, 3, 4
-LIMITS = 7
+# (3), and for weights (feedback.Weights): mean luminance of the picture, fixed-point units to one of luminance
+V_CLAMP_DIRECT, V_CLAMP_INDIRECT, V_FILTER_GLOSSY, V_EXPOSURE, V_WORLD, V_AMBIENT, V_UNITS = 0, 1, 2, 3, 4, 7, 8
+LIMITS = 9
 
 RAYS, PATHS = 0, 1  # stats, int64[2]
+_TILE, _VERTICES = 2, 3  # of a thread's own stats: coarse tile of the pixel, instances that the path has met so far
+MAX_VERTICES = 64  # met by one path and weighed; what is met after them goes with the last
 
 _CAMERA, _DIFFUSE_RAY, _GLOSSY_RAY, _TRANSMISSION_RAY, _SHADOW = (int(t) for t in RayType)
 _HOLDOUT_FLAG = int(InstanceFlag.HOLDOUT)
@@ -128,6 +132,8 @@ _SHORT = np.float32(1.0 - 1e-5)
 _DIMENSIONS = 4  # pairs of numbers per vertex
 _LENS, _FILTER = np.uint64(1 << 40), np.uint64((1 << 40) + 1)
 _INSTANCE_BYTES = np.uint64(48)
+_RED, _GREEN, _BLUE = (np.float32(x) for x in LUMINANCE)
+_MOST = np.float32(1e12)  # units of one event, so that no sum of them overflows
 
 
 class Scenery(NamedTuple):
@@ -146,6 +152,9 @@ class Scenery(NamedTuple):
     counters: Any
     counters_length: Any
     feedback: Any
+    weights: Any
+    tile_light: Any
+    entries: Any
     settings: Any
     limits: Any
 
@@ -172,6 +181,8 @@ class Scratch(NamedTuple):
     radiance: Any
     total: Any
     stats: Any
+    vertex: Any
+    carried: Any
 
 
 # Where the kernel finds things, uint64[ADDRESSES]: A_* addresses, N_* lengths, handles as they are.
@@ -189,14 +200,17 @@ class Scratch(NamedTuple):
     A_COUNTERS,
     N_COUNTERS,
     A_FEEDBACK,
+    A_WEIGHTS,
+    A_TILE_LIGHT,
+    A_ENTRIES,
     A_SETTINGS,
     A_LIMITS,
     A_CAMERA,
     A_FILTER,
     A_SUMS,
     A_STATS,
-) = range(19)
-ADDRESSES = 19
+) = range(22)
+ADDRESSES = 22
 
 
 @njit(**OPTIONS)
@@ -215,6 +229,9 @@ def _scenery(a):
         a[A_COUNTERS],
         a[N_COUNTERS],
         a[A_FEEDBACK],
+        a[A_WEIGHTS],
+        a[A_TILE_LIGHT],
+        i32_pointer(a[A_ENTRIES]),
         i64_pointer(a[A_SETTINGS]),
         f32_pointer(a[A_LIMITS]),
     )
@@ -228,7 +245,8 @@ _CLOSURE_AT = _QUERY_AT + 8 * (QUERY + QUERY % 2)
 _FAR_CLOSURE_AT = _CLOSURE_AT + 8 * (CLOSURE + CLOSURE % 2)
 _REST_AT = _FAR_CLOSURE_AT + 8 * (CLOSURE + CLOSURE % 2)
 _PART = (max(8 * OUT, 4 * SURF, 4 * FRAME, 4 * PARAMS, 4 * LIGHT_SAMPLE) + 63) // 64 * 64  # of each of the small parts
-_WORK = _REST_AT + 12 * _PART
+_VERTICES_AT = _REST_AT + 12 * _PART
+_WORK = _VERTICES_AT + (8 + 8) * MAX_VERTICES
 
 
 @njit(**OPTIONS)
@@ -256,6 +274,8 @@ def _scratch(start):
         f32_pointer(rest + np.uint64(9) * part),
         f32_pointer(rest + np.uint64(10) * part),
         i64_pointer(rest + np.uint64(11) * part),
+        i64_pointer(start + np.uint64(_VERTICES_AT)),
+        f32_pointer(start + np.uint64(_VERTICES_AT + 8 * MAX_VERTICES)),
     )
 
 
@@ -286,9 +306,9 @@ def _intersect(tlas, words):
 
 
 @njit(**OPTIONS)
-def _instance(s, words):
-    """Instance that the ray at address words met."""
-    return np.int64(s.ids[s.first[np.int64(load_u32(words, INST_ID))] + np.int64(load_u32(words, INST_PRIM_ID))])
+def _entry(s, words):
+    """TLAS entry that the ray at address words met."""
+    return s.first[np.int64(load_u32(words, INST_ID))] + np.int64(load_u32(words, INST_PRIM_ID))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -309,6 +329,44 @@ def _count_boxes(hitboxes, counters, length, query, words, far, ray_type, neares
 def _met(s, instance, ray_type):
     """Count a hit of an instance by a type of ray."""
     atomic_add_int64(s.feedback + np.uint64(8) * np.uint64(instance * RAY_TYPES + ray_type), np.int64(1))
+
+
+@njit(**OPTIONS)
+def _luminance(r, g, b):
+    return _RED * r + _GREEN * g + _BLUE * b
+
+
+@njit(**OPTIONS)
+def _worth(s, w, entry, luminance):
+    """Credit a TLAS entry with luminance of the current tile."""
+    units = luminance * s.limits[V_UNITS]
+    if units >= _ONE:
+        atomic_add_int64(s.weights + np.uint64(8) * np.uint64(entry * TILES + w.stats[_TILE]), np.int64(min(units, _MOST)))
+
+
+@njit(**OPTIONS)
+def _remember(s, w, entry, tr, tg, tb):
+    """Note a TLAS entry that the path meets for the first time: what it has gathered so far, and what it carries."""
+    n = w.stats[_VERTICES]
+    for k in range(n):
+        if w.vertex[k] == entry:
+            return
+    if n < MAX_VERTICES:
+        w.vertex[n] = entry
+        w.carried[2 * n] = _luminance(w.total[0], w.total[1], w.total[2])
+        w.carried[2 * n + 1] = _luminance(tr, tg, tb) * s.limits[V_AMBIENT]
+        w.stats[_VERTICES] = n + 1
+
+
+@njit(**OPTIONS)
+def _settle(s, w):
+    """At the end of a path: credit what it met with what it gathered behind it, or with what it carried there where that is more."""
+    total = _luminance(w.total[0], w.total[1], w.total[2])
+    for k in range(w.stats[_VERTICES]):
+        _worth(s, w, w.vertex[k], max(total - w.carried[2 * k], w.carried[2 * k + 1]))
+    units = total * s.limits[V_UNITS]
+    if units >= _ONE:
+        atomic_add_int64(s.tile_light + np.uint64(8) * np.uint64(w.stats[_TILE]), np.int64(min(units, _MOST)))
 
 
 @njit(**OPTIONS)
@@ -346,20 +404,26 @@ def _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
             _count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.shadow_words, t, _SHADOW, s.settings[I_HITBOX_NEAREST])
         if not hit:
             return True
-        instance = _instance(s, w.shadow_words)
+        entry = _entry(s, w.shadow_words)
+        instance = np.int64(s.ids[entry])
         if watched:
             _met(s, instance, _SHADOW)
         triangle = np.int64(load_u32(w.shadow_words, PRIM_ID))
         b1, b2 = w.shadow[HIT_U], w.shadow[HIT_V]
         mesh = mesh_record(s.meshes, s.table, instance)
         material = material_of(s.table, mesh, instance, triangle)
+        arriving = _luminance(w.radiance[0], w.radiance[1], w.radiance[2])
         if hits_left <= 0 or not transmits_shadow(material):
+            if s.weights != np.uint64(0):
+                _worth(s, w, entry, arriving)
             return False
         hits_left -= 1
         material_alpha(s.table, mesh, material, triangle, b1, b2, w.far_params)
         bsdf_transparency(w.far_params, np.int64(load_u32(material + M_SHADER, 0)), w.out)
         for k in range(3):
             w.radiance[k] *= np.float32(w.out[k])
+        if s.weights != np.uint64(0):
+            _worth(s, w, entry, arriving - _luminance(w.radiance[0], w.radiance[1], w.radiance[2]))
         if not (w.radiance[0] > _ZERO or w.radiance[1] > _ZERO or w.radiance[2] > _ZERO):
             return False
         interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, w.far_surf, w.far_frame)
@@ -464,6 +528,8 @@ def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transp
             return
     if instance >= 0 and s.feedback != np.uint64(0):
         _met(s, instance, _SHADOW)
+        if s.weights != np.uint64(0) and s.entries[instance] >= 0:
+            _worth(s, w, np.int64(s.entries[instance]), _luminance(w.radiance[0], w.radiance[1], w.radiance[2]))
     _add(s, w, w.radiance[0], w.radiance[1], w.radiance[2], bounce)
 
 
@@ -535,9 +601,12 @@ def _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far):
                         f = _ZERO
                 _add(s, w, tr * r * f, tg * g * f, tb * b * f, bounce - 1)
             return
-        instance = _instance(s, w.ray_words)
+        entry = _entry(s, w.ray_words)
+        instance = np.int64(s.ids[entry])
         if watched:
             _met(s, instance, ray_type)
+            if s.weights != np.uint64(0):
+                _remember(s, w, entry, tr, tg, tb)
         triangle = np.int64(load_u32(w.ray_words, PRIM_ID))
         b1, b2 = w.ray[HIT_U], w.ray[HIT_V]
         mesh = mesh_record(s.meshes, s.table, instance)
@@ -667,6 +736,7 @@ def trace_tile(x0, y0, x1, y1, a):
     exposure = s.limits[V_EXPOSURE]
     for y in range(y0, y1):
         for x in range(x0, x1):
+            w.stats[_TILE] = (y * ROWS // height) * COLUMNS + x * COLUMNS // width
             r = g = b = t = _ZERO
             for sample in range(s.settings[I_FIRST_SAMPLE], s.settings[I_FIRST_SAMPLE] + s.settings[I_SAMPLES]):
                 key = path_key(seed, np.uint64(y * width + x), np.uint64(sample))
@@ -675,7 +745,10 @@ def trace_tile(x0, y0, x1, y1, a):
                 u = (np.float32(x) + np.float32(0.5) + filter_offset(pixel_filter, f0)) / np.float32(width)
                 v = (np.float32(y) + np.float32(0.5) + filter_offset(pixel_filter, f1)) / np.float32(height)
                 ox, oy, oz, dx, dy, dz, far = camera_ray(camera, u, v, l0, l1)
+                w.stats[_VERTICES] = 0
                 _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far)
+                if s.weights != np.uint64(0):
+                    _settle(s, w)
                 r += w.total[0]
                 g += w.total[1]
                 b += w.total[2]

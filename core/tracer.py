@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import threading
 from collections.abc import Callable
@@ -21,7 +22,7 @@ from .lamps import FAR
 from .lights import Lights, emissive_instances
 from .memory import address
 from .progress import Progress, silent
-from .scene import F32, Scene, Shader
+from .scene import F32, Instances, Scene, Shader
 from .shading import SceneTable
 from .tlas import Tlas
 
@@ -44,6 +45,11 @@ class Prepared:
     def emissive(self) -> NDArray[np.int64]:
         """Indices of the instances that are sampled as lights, culled or not."""
         return self.lights.emissive
+
+    def with_instances(self, instances: Instances) -> Prepared:
+        """The same scene and lights with other visibility flags, transforms or slots of its instances."""
+        scene = dataclasses.replace(self.scene, instances=instances)
+        return dataclasses.replace(self, scene=scene, table=SceneTable(scene))
 
     def with_emitters(self, active: NDArray[np.bool_]) -> Prepared:
         """The same scene where only those emissive instances light it that are active, (N,) bool: what is left when the others are removed."""
@@ -90,6 +96,8 @@ def trace(
     sums = np.zeros((height, width, 4), np.float32)
     stats = np.zeros(2, np.int64)
     settings, limits = _settings(scene, width, height, samples, first_sample, seed, hitbox_every, nearest, strategy)
+    if feedback is not None and feedback.weights is not None:
+        limits[kernel.V_AMBIENT], limits[kernel.V_UNITS] = feedback.weights.ambient, 1 / feedback.weights.unit
     addresses = _addresses(prepared, tlas, feedback, settings, limits, sums, stats)
     tiles = [(x, y, min(x + TILE, width), min(y + TILE, height)) for y in range(0, height, TILE) for x in range(0, width, TILE)]
     stop = threading.Event()
@@ -180,4 +188,7 @@ def _addresses(
         out[kernel.HITBOXES] = feedback.hitboxes
         out[kernel.A_COUNTERS], out[kernel.N_COUNTERS] = address(feedback.boxes), len(feedback.boxes)
         out[kernel.A_FEEDBACK] = address(feedback.hits)
+        if feedback.weights is not None:
+            out[kernel.A_WEIGHTS], out[kernel.A_TILE_LIGHT] = address(feedback.weights.light), address(feedback.weights.total)
+            out[kernel.A_ENTRIES] = address(feedback.weights.entries)
     return out
