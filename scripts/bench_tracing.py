@@ -282,7 +282,7 @@ def paths(folder: Path) -> dict[str, Any]:
             bpy.ops.render.render()
         return time.perf_counter() - start
 
-    many = 16 * SAMPLES  # Cycles has no clock for sampling alone: the difference between many and few samples
+    many = 4 * SAMPLES  # Cycles has no clock for sampling alone: the difference between many and few samples
     trace(prepared, tlas, 1)
     jobs: dict[str, Callable[[], float]] = {"ours": ours, "Cycles few": lambda: cycles(SAMPLES), "Cycles many": lambda: cycles(SAMPLES + many)}
     # The scene of Mitsuba is in Blender's world, the core's camera is relative to its origin.
