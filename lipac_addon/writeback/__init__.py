@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import bpy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,5 +84,3 @@ def _write(plan: Plan) -> None:
         marks.switch_off(emitter, modifier)
     for host, rows in plan.masks:
         mask.add(host, rows)
-    if plan.objects or plan.collections or plan.masks or plan.particle_modifiers:
-        bpy.context.view_layer.update()

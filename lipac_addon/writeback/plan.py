@@ -56,53 +56,61 @@ def make_plan(culled: Mask, keys: Keys) -> Plan:
     return _Planner(np.asarray(culled, bool), keys).plan()
 
 
-def deletable_rows(culled: Mask, records: Records, whole: bool) -> Mask:
+@dataclass(frozen=True)
+class Columns:
+    """The fields of key records as contiguous arrays: kind (N,) uint8; host, object, row (N,) int32, row the first of the path; deep (N,) bool, whether the
+    path goes on."""
+
+    kind: NDArray[np.uint8]
+    host: NDArray[np.int32]
+    object: NDArray[np.int32]
+    row: NDArray[np.int32]
+    deep: Mask
+
+    @staticmethod
+    def of(records: Records) -> Columns:
+        """Columns of (N,) records of KEY."""
+        kind, host, ob = (np.ascontiguousarray(records[name]) for name in ("kind", "host", "object"))
+        return Columns(kind, host, ob, np.ascontiguousarray(records["path"][:, 0]), records["path"][:, 1] >= 0)
+
+
+def deletable_rows(row: NDArray[np.int32], stays: Mask) -> Mask:
     """Rows of one geometry-nodes host that can go: (R,) bool, R one more than the highest row seen.
 
-    culled (N,) bool and records (N,) of KEY of the host's instances; a row is deletable when it has instances and all of them are culled.
-    whole: False keeps rows with nested parts (they may hold lights, which have no instance here).
+    row (N,) int32 of the host's instances, stays (N,) bool; a row is deletable when it has instances and none of them stays.
     """
-    rows = records["path"][:, 0]
-    seen = np.zeros(int(rows.max()) + 1, bool)
-    seen[rows] = True
-    seen[rows[~culled]] = False
-    if not whole:
-        seen[rows[_deep(records)]] = False
+    seen = np.zeros(int(row.max()) + 1, bool)
+    seen[row] = True
+    seen[row[stays]] = False
     return seen
 
 
-def hideable_names(culled: Mask, keys: Keys, members: Mask) -> Mask:
+def hideable_names(culled: Mask, columns: Columns, members: Mask) -> Mask:
     """(number of names,) bool: objects whose `hide_render` takes away some instances, all of them culled; members as in `by_source`."""
-    records, count = keys.records, len(keys.names)
-    touched = np.zeros(count, np.int64)
-    live = np.zeros(count, np.int64)
-    for name, rows in (("object", by_source(records, members)), ("host", records["host"] >= 0)):
-        touched += np.bincount(records[name][rows], minlength=count)
-        live += np.bincount(records[name][rows & ~culled], minlength=count)
+    touched = np.zeros(len(members), np.int64)
+    live = np.zeros(len(members), np.int64)
+    for name, chosen in ((columns.object, by_source(columns, members)), (columns.host, columns.host >= 0)):
+        touched += np.bincount(name[chosen], minlength=len(members))
+        live += np.bincount(name[chosen & ~culled], minlength=len(members))
     return (touched > 0) & (live == 0)
 
 
-def by_source(records: Records, members: Mask) -> Mask:
+def by_source(columns: Columns, members: Mask) -> Mask:
     """(N,) bool: instances that vanish, or may vanish, when the object they show is hidden.
 
     Objects themselves, vertex and face duplicates, and parts of instanced collections; not what geometry nodes or particles make of a single object.
     members: (number of names,) bool, the objects that are in an instanced collection.
     """
-    kind, ob = records["kind"], records["object"]
-    collections = (kind == Kind.COLLECTION) | ((kind == Kind.GEOMETRY_NODES) & _deep(records))
-    return ((kind == Kind.OBJECT) | (kind == Kind.DUPLI) | (collections & members[ob])) & (ob >= 0)
-
-
-def _deep(records: Records) -> Mask:
-    return records["path"][:, 1] >= 0
+    kind, ob = columns.kind, columns.object
+    parts = (kind == Kind.COLLECTION) | ((kind == Kind.GEOMETRY_NODES) & columns.deep)
+    return ((kind == Kind.OBJECT) | (kind == Kind.DUPLI) | (parts & members[ob])) & (ob >= 0)
 
 
 class _Planner:
     """The steps of `make_plan`; `removed` and `reasons` fill up on the way."""
 
     def __init__(self, culled: Mask, keys: Keys) -> None:
-        self.culled, self.records, self.names = culled, keys.records, keys.names
-        self.keys = keys
+        self.culled, self.columns, self.names = culled, Columns.of(keys.records), keys.names
         self.references = References()
         self.members = np.array([self.references.in_instanced_collection(_find(name)) for name in keys.names], bool)
         self.removed = np.zeros(len(culled), bool)
@@ -121,7 +129,7 @@ class _Planner:
     def hidden_objects(self) -> dict[int, bpy.types.Object]:
         """Objects to hide by their name index."""
         hidden = {}
-        for n in np.flatnonzero(hideable_names(self.culled, self.keys, self.members)):
+        for n in np.flatnonzero(hideable_names(self.culled, self.columns, self.members)):
             ob = _find(self.names[n])
             reason = self.obstacle(ob)
             if reason is not None:
@@ -133,11 +141,10 @@ class _Planner:
         # Nodes may instance an object both alone and in a collection; only the collection minds hide_render, so nothing is claimed for such a source.
         sure = np.zeros(len(self.names), bool)
         sure[[n for n, ob in hidden.items() if not self.references.alone_in_nodes(ob)]] = True
-        records = self.records
-        real = records["kind"] == Kind.OBJECT
-        own = np.where(real, gone[records["object"]], sure[records["object"]])  # object -1 reads the last name: ruled out below
-        self.removed |= own & by_source(records, self.members)
-        self.removed |= gone[records["host"]] & (records["host"] >= 0)
+        if hidden:
+            kind, host, ob = self.columns.kind, self.columns.host, self.columns.object
+            own = np.where(kind == Kind.OBJECT, gone[ob], sure[ob])  # object -1 reads the last name: ruled out by by_source
+            self.removed = (own & by_source(self.columns, self.members)) | (gone[host] & (host >= 0))
         return hidden
 
     def obstacle(self, ob: bpy.types.Object | None) -> str | None:
@@ -185,13 +192,13 @@ class _Planner:
             if ob is None or not takes_modifiers(ob) or self.references.feeds(ob):
                 self.host_reason[n] = MISSING if ob is None else FEEDS if takes_modifiers(ob) else LINKED
                 continue
-            records = self.records[instances]
-            more = self.references.carries_more(ob)
-            rows = deletable_rows(self.culled[instances], records, whole=not more)
-            if more:
+            row, stays = self.columns.row[instances], ~self.culled[instances]
+            if self.references.carries_more(ob):
                 self.host_reason[n] = MORE
+                stays |= self.columns.deep[instances]  # nested parts may hold lights, which have no instance here
+            rows = deletable_rows(row, stays)
             if rows.any():
-                self.removed[instances] |= rows[records["path"][:, 0]]
+                self.removed[instances] |= rows[row]
                 yield ob, rows
 
     def particle_modifiers(self, hidden: dict[int, bpy.types.Object]) -> Iterator[tuple[bpy.types.Object, str]]:
@@ -211,8 +218,11 @@ class _Planner:
 
     def hosts(self, kind: Kind) -> Iterator[tuple[int, NDArray[np.int64]]]:
         """Name index and instance indices of each host of a kind."""
-        chosen = np.flatnonzero((self.records["kind"] == kind) & (self.records["host"] >= 0))
-        host = self.records["host"][chosen]
+        chosen = np.flatnonzero((self.columns.kind == kind) & (self.columns.host >= 0))
+        host = self.columns.host[chosen]
+        if len(host) and (host[0] == host).all():
+            yield int(host[0]), chosen
+            return
         order = np.argsort(host, kind="stable")
         numbers, first = np.unique(host[order], return_index=True)
         for n, instances in zip(numbers, np.split(chosen[order], first[1:]), strict=False):
@@ -220,8 +230,9 @@ class _Planner:
 
     def kept(self) -> dict[str, int]:
         """Culled instances that stay, by reason."""
-        rest = self.records[self.culled & ~self.removed]
-        numbers, counts = np.unique(np.stack([rest["kind"], rest["host"], rest["object"]], 1), axis=0, return_counts=True)
+        rest = np.flatnonzero(self.culled & ~self.removed)
+        who = np.stack([self.columns.kind[rest].astype(np.int32), self.columns.host[rest], self.columns.object[rest]], axis=1)
+        numbers, counts = np.unique(who, axis=0, return_counts=True)
         kept: Counter[str] = Counter()
         for (kind, host, ob), count in zip(numbers, counts, strict=True):
             reasons = (self.host_reason.get(int(host)), self.object_reason.get(int(host)), self.object_reason.get(int(ob)))
