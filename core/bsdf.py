@@ -161,7 +161,7 @@ def _fresnel(c: Any, o: int, k: int, cos: float, dielectric: float) -> tuple[flo
     if kind == _SCHLICK:  # the true curve, remapped from [F0, 1] to [f0, 1]
         f0 = _f0(c[o + _ETA])
         f = c[o + _F0 + k] + (1.0 - c[o + _F0 + k]) * _clip((dielectric - f0) / (1.0 - f0))
-        return f * c[o + _TINT_R + k], (1.0 - f) * c[o + _TINT_T + k]
+        return f * c[o + _TINT_R + k], max(1.0 - f, 0.0) * c[o + _TINT_T + k]
     if kind == _F82:  # Kutz, Hasan, Edmondson, "Novel aspects of the Adobe Standard Material", 2023
         s = _clip(1.0 - cos)
         s5 = s * s * s * s * s
@@ -277,7 +277,7 @@ def _diffuse(c: Any, r: float, g: float, b: float, roughness: float, n: Any) -> 
     slope = roughness * a
     mean = a * math.pi + (2.0 * math.pi - 5.6) / 3.0 * slope
     cos = c[_FRAME] * n[0] + c[_FRAME + 1] * n[1] + c[_FRAME + 2] * n[2]
-    lost = 1.0 - a * math.pi - slope * _oren_nayar_g(max(cos, 0.0))
+    lost = max(1.0 - a * math.pi - slope * _oren_nayar_g(max(cos, 0.0)), 0.0)
     c[o + _KIND] = _OREN_NAYAR
     c[o + _ALPHA], c[o + _ETA] = a, slope
     for k in range(3):
@@ -339,9 +339,9 @@ def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
                 wr, wg, wb = wr * keep, wg * keep, wb * keep
         # Beer's law along the refracted ray; the tint is that of perpendicular light.
         depth = 1.0 / math.sqrt(1.0 - (1.0 - cos * cos) / (ior * ior))
-        wr *= 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT], 0.0) ** depth - 1.0)
-        wg *= 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT + 1], 0.0) ** depth - 1.0)
-        wb *= 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT + 2], 0.0) ** depth - 1.0)
+        wr *= max(0.0, 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT], 0.0) ** depth - 1.0))
+        wg *= max(0.0, 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT + 1], 0.0) ** depth - 1.0))
+        wb *= max(0.0, 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT + 2], 0.0) ** depth - 1.0))
     c[C_EMISSION], c[C_EMISSION + 1], c[C_EMISSION + 2] = wr, wg, wb
 
     rough = _clip(c[_PARAMS + P_ROUGHNESS]) ** 2
@@ -520,7 +520,7 @@ def _add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float, o
             t = ix * wx + iy * wy + iz * wz - cos_o * max(cos_i, 0.0)
             if t > 0.0:
                 t /= max(cos_o, cos_i)
-            lost = 1.0 - c[o + _ALPHA] * math.pi - c[o + _ETA] * _oren_nayar_g(cos_o)
+            lost = max(1.0 - c[o + _ALPHA] * math.pi - c[o + _ETA] * _oren_nayar_g(cos_o), 0.0)
             single = c[o + _ALPHA] + c[o + _ETA] * t
             for k in range(3):
                 out[O_WEIGHT + k] += c[o + _WEIGHT + k] * shadow * cos_o * (single + c[o + _F0 + k] * lost)
