@@ -6,14 +6,16 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
-from ..core.errors import InputError
+from ..core.errors import Cancelled, InputError
 from ..core.progress import Progress, silent
 from ..core.scene import Scene
 from .console import muted
@@ -50,10 +52,19 @@ def render_blender(engine: str, stem: Path, samples: int | None = None, seed: in
     return seconds
 
 
-def render_path(scene: Scene, active: Any, stem: Path, samples: int | None = None, seed: int = 0, threads: int = 0, progress: Progress = silent) -> float:
+def render_path(
+    scene: Scene,
+    active: NDArray[np.bool_],
+    stem: Path,
+    samples: int | None = None,
+    seed: int = 0,
+    threads: int = 0,
+    progress: Progress = silent,
+    cancelled: Callable[[], bool] | None = None,
+) -> float:
     """Render the active instances, (N,) bool, of a core scene by the path tracer, save stem.exr and stem.png, and return the seconds, building included.
 
-    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png.
+    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png. Raises Cancelled, and saves nothing, where cancelled() says so.
     """
     from ..core.blas import BlasCache
     from ..core.embree import shared_device
@@ -66,7 +77,9 @@ def render_path(scene: Scene, active: Any, stem: Path, samples: int | None = Non
     prepared = prepare(scene, blas).with_emitters(active)
     blas.need(scene.instances.mesh[active])
     tlas = Tlas(scene.instances, blas, active)
-    picture = trace(prepared, tlas, samples or samples_of(blender_scene, "path"), seed=seed, threads=threads, progress=progress)
+    picture = trace(prepared, tlas, samples or samples_of(blender_scene, "path"), seed=seed, threads=threads, progress=progress, cancelled=cancelled)
+    if cancelled is not None and cancelled():
+        raise Cancelled
     seconds = time.perf_counter() - start
     with muted():
         save_pixels(picture.mean, blender_scene, stem)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ import bpy
 import numpy as np
 
 from ..core.culling import CullOptions, State
+from ..core.errors import Cancelled
 from ..core.progress import Progress, part, silent
 from ..core.report import Report, save_states
 from ..core.scene import RAY_TYPES
@@ -27,6 +29,17 @@ if TYPE_CHECKING:
 ANALYSIS_SHARE = 0.2  # of a frame's progress, where it is rendered too
 
 
+def never() -> bool:
+    """The `cancelled` of work that goes on to its end."""
+    return False
+
+
+def check(cancelled: Callable[[], bool]) -> None:
+    """Raise Cancelled where it says so."""
+    if cancelled():
+        raise Cancelled
+
+
 @dataclass(frozen=True)
 class Job:
     """What to do with the open file. engine: one of `engines.ENGINES`, or "" to analyse only; samples: None as in the scene; threads: 0 for all."""
@@ -40,33 +53,38 @@ class Job:
     threads: int = 0
 
 
-def run(job: Job, report: Report, progress: Progress = silent) -> None:
-    """Work through the frames of a job; the report on disk is valid after each. Visibility in the open file is put back at the end, whatever happens."""
+def run(job: Job, report: Report, progress: Progress = silent, cancelled: Callable[[], bool] = never) -> None:
+    """Work through the frames of a job; the report on disk is valid after each. Visibility in the open file is put back at the end, whatever happens.
+
+    Raises Cancelled soon after cancelled() says so.
+    """
     (job.folder / "states").mkdir(parents=True, exist_ok=True)
     report.write(job.folder)
     try:
         for k, frame in enumerate(job.frames):
             name = f"frame {frame}: " if len(job.frames) > 1 else ""
-            run_frame(job, frame, report, part(progress, k / len(job.frames), (k + 1) / len(job.frames), name))
+            run_frame(job, frame, report, part(progress, k / len(job.frames), (k + 1) / len(job.frames), name), cancelled)
             report.write(job.folder)
     finally:
         writeback.restore()
 
 
-def run_frame(job: Job, frame: int, report: Report, progress: Progress = silent) -> None:
-    """One frame of a job, added to the report."""
+def run_frame(job: Job, frame: int, report: Report, progress: Progress = silent, cancelled: Callable[[], bool] = never) -> None:
+    """One frame of a job, added to the report. Raises Cancelled."""
     stem = job.folder / f"frame_{frame:04}"
     states = job.folder / "states" / f"{stem.name}.npz"
     rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
     extraction, entry = sync(frame)
+    check(cancelled)
     approximated, warnings = extraction.scene.approximated, extraction.warnings
     if job.options.policy == "none" and job.engine in BLENDER_ENGINES:  # as Blender would render it: nothing to analyse
         entry |= keep_all(extraction, states)
         del extraction
     else:
-        result = cull(extraction, job.options, states, entry, part(progress, 0.0, ANALYSIS_SHARE if job.engine else 1.0))
+        result = cull(extraction, job.options, states, entry, part(progress, 0.0, ANALYSIS_SHARE if job.engine else 1.0), cancelled)
+        check(cancelled)
         if job.engine == "path":
-            entry["render_s"] = render_path(extraction.scene, result.active, stem, job.samples, job.seed, job.threads, rest)
+            entry["render_s"] = render_path(extraction.scene, result.active, stem, job.samples, job.seed, job.threads, rest, cancelled)
         elif job.engine:
             write_back(result, extraction.keys, entry)
             kept = entry["writeback"]["kept"]
@@ -87,11 +105,18 @@ def sync(frame: int) -> tuple[Extraction, dict[str, Any]]:
     return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}
 
 
-def cull(extraction: Extraction, options: CullOptions, states: Path, entry: dict[str, Any], progress: Progress = silent) -> CullingResult:
+def cull(
+    extraction: Extraction,
+    options: CullOptions,
+    states: Path,
+    entry: dict[str, Any],
+    progress: Progress = silent,
+    cancelled: Callable[[], bool] = never,
+) -> CullingResult:
     """Decide the states of an extracted frame, save them to the file `states`, and add the figures to the frame's entry."""
     from ..core.loop import analyze
 
-    result = analyze(extraction.scene, options, progress)
+    result = analyze(extraction.scene, options, progress, cancelled)
     entry |= result.stats
     save_states(states, result.state, result.score, result.hits, extraction.keys.records, extraction.keys.names)
     return result

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import signal
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -97,6 +99,28 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
         yield terminal
 
 
+@contextmanager
+def ctrl_c() -> Iterator[Callable[[], bool]]:
+    """A function that tells whether Ctrl-C was pressed within the block, for work to poll: an exception in the midst of Blender's would not come through.
+
+    A second Ctrl-C ends the process at once.
+    """
+    pressed = threading.Event()
+
+    def note(_number: int, _frame: object) -> None:
+        pressed.set()
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield pressed.is_set
+        return
+    old = signal.signal(signal.SIGINT, note)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, old)
+
+
 def cull_options(args: argparse.Namespace) -> CullOptions:
     """The culling options of a command line; what it does not say has the defaults of `core`."""
     given = {name: getattr(args, name) for name in ("max_error", "min_share", "paths", "solid_angle", "distance", "margin")}
@@ -130,7 +154,7 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
     from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
     from ..lipac_addon.pipeline import Job, run
 
-    with progress_of(args.quiet) as progress:
+    with progress_of(args.quiet) as progress, ctrl_c() as cancelled:
         progress(0.0, "opening the scene")
         if args.scene is not None:
             open_scene(args.scene)
@@ -153,7 +177,7 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
         )
         report.note(report.warnings, missing_libraries())
         job = Job(args.output, args.frames or (scene.frame_current,), cull_options(args), engine, samples, args.seed, args.threads)
-        run(job, report, progress)
+        run(job, report, progress, cancelled)
     print(report.table())
     for line in report.warnings:
         print(f"warning: {line}", file=sys.stderr)
