@@ -317,6 +317,12 @@ def _lift(c: Any, nx: float, ny: float, nz: float) -> tuple[float, float, float]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def _beer(tint: float, depth: float, weight: float) -> float:
+    """What a coat of this weight lets through at optical depth `depth`; a tint above 1 at grazing angles is kept finite."""
+    return max(0.0, 1.0 + weight * (min(max(tint, 0.0) ** depth, 1e6) - 1.0))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
     """Lobes of the Principled BSDF, from the top: transparency, coat, metal | glass | specular over diffuse."""
     reflective, refractive = flags & NO_REFLECTIVE_CAUSTICS == 0, flags & NO_REFRACTIVE_CAUSTICS == 0
@@ -339,9 +345,9 @@ def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
                 wr, wg, wb = wr * keep, wg * keep, wb * keep
         # Beer's law along the refracted ray; the tint is that of perpendicular light.
         depth = 1.0 / math.sqrt(1.0 - (1.0 - cos * cos) / (ior * ior))
-        wr *= max(0.0, 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT], 0.0) ** depth - 1.0))
-        wg *= max(0.0, 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT + 1], 0.0) ** depth - 1.0))
-        wb *= max(0.0, 1.0 + coat * (max(c[_PARAMS + P_COAT_TINT + 2], 0.0) ** depth - 1.0))
+        wr *= _beer(c[_PARAMS + P_COAT_TINT], depth, coat)
+        wg *= _beer(c[_PARAMS + P_COAT_TINT + 1], depth, coat)
+        wb *= _beer(c[_PARAMS + P_COAT_TINT + 2], depth, coat)
     c[C_EMISSION], c[C_EMISSION + 1], c[C_EMISSION + 2] = wr, wg, wb
 
     rough = _clip(c[_PARAMS + P_ROUGHNESS]) ** 2
@@ -420,7 +426,7 @@ def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -
     c[_COUNT] = 0.0
     # In float64 unit vectors are unit to 1e-16; 1e-7 would show in the sharpest lobes.
     for k in range(0, FRAME, 3):
-        x, y, z = float(frame[k]), float(frame[k + 1]), float(frame[k + 2])
+        x, y, z = np.float64(frame[k]), np.float64(frame[k + 1]), np.float64(frame[k + 2])  # numba: float() keeps float32
         scale = 1.0 / math.sqrt(x * x + y * y + z * z)
         c[_FRAME + k], c[_FRAME + k + 1], c[_FRAME + k + 2] = x * scale, y * scale, z * scale
     n = (c[_FRAME + F_N], c[_FRAME + F_N + 1], c[_FRAME + F_N + 2])
