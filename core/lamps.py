@@ -11,7 +11,7 @@ from .sampling import OPTIONS, basis, cone, disk, normalize, sphere
 from .scene import F32, AreaShape, LightKind, Records
 
 # Lamp constants, float32[LAMP]
-K_KIND, K_P, K_X, K_Y, K_Z, K_RADIANCE = 0, 1, 4, 7, 10, 13  # K_RADIANCE: radiance; radiant intensity for a lamp without size; irradiance for a sun without angle
+K_KIND, K_P, K_X, K_Y, K_Z, K_RADIANCE = 0, 1, 4, 7, 10, 13  # K_RADIANCE: radiance; intensity of a lamp without size, irradiance of a sun without angle
 K_RADIUS, K_COS_HALF, K_SMOOTH = 16, 17, 18  # spot: smoothstep((cos - K_COS_HALF) K_SMOOTH)
 K_LENGTH_X, K_LENGTH_Y, K_ELLIPSE, K_TAN_SPREAD, K_SPREAD_SCALE = 19, 20, 21, 22, 23  # K_SPREAD_SCALE: 0 without spread
 K_VISIBILITY, K_SHADOW, K_MIS, K_BOUNCES, K_SPHERE, K_CONE = 24, 25, 26, 27, 28, 29  # K_CONE: 1 - cos of the half angle of a sun

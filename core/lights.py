@@ -1,7 +1,7 @@
 """All lights of a scene: which one to sample from a point, where on it, and with what density (for multiple importance sampling).
 
-Lights at infinity (suns, the world image) share half of the samples where there are others; lamps and emissive instances are picked by a light tree. An emissive
-instance picks a triangle by area times emission, then a point uniformly: the density uses the world-space area of that triangle, so any scale is exact.
+Lights at infinity (suns, the world image) share half of the samples where there are others; lamps and emissive instances are picked by a light tree. An
+emissive instance picks a triangle by area times emission, then a point uniformly: the density uses the world-space area of that triangle, so any scale is exact.
 """
 
 from __future__ import annotations
@@ -131,7 +131,8 @@ class Lights:
         self.lamps: F32 = lamp_constants(scene.lights)
         self.meshes: dict[int, Mesh] = {}
         known = meshes or {}
-        records, cdfs, triangles, bounds = [], [np.zeros(0, np.float32)], [np.zeros(0, np.int32)], []
+        records: list[tuple[Any, ...]] = []
+        cdfs, triangles, bounds = [np.zeros(0, np.float32)], [np.zeros(0, np.int32)], []
         lamp_emitter = np.full(max(len(self.lamps), 1), -1, np.int32)
         instance_emitter = np.full(len(instances) if len(candidates) else 0, -1, np.int32)
         for i in np.flatnonzero((self.lamps[:, K_KIND] != SUN) & (self.lamps[:, K_RADIANCE : K_RADIANCE + 3] > 0).any(1)).tolist():
