@@ -19,7 +19,7 @@ def atomic_add(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     """
     if not isinstance(array, types.Array) or not isinstance(array.dtype, types.Integer):
         return None
-    indices = index if isinstance(index, types.BaseTuple) else types.UniTuple(index, 1)
+    indices: list[Any] = list(index.types) if isinstance(index, types.BaseTuple) else [index]  # type: ignore[attr-defined]
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         array_type, index_type, value_type = signature.args

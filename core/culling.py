@@ -23,6 +23,7 @@ class State(IntEnum):
     ACTIVE = 2
 
 
+DEFAULT_BUDGET = Budget(0.01, 0.05)
 POLICIES = ("none", "frustum", "distance", "solid-angle", "light-paths")
 
 
@@ -41,7 +42,7 @@ class CullOptions:
     margin: float = 0.1
     distance: float = 50.0
     solid_angle: float = 1.0
-    max_error: Budget = Budget(0.01, 0.05)
+    max_error: Budget = DEFAULT_BUDGET
     min_share: float | None = None
     paths: int = 8
     width: int = 240
@@ -83,7 +84,7 @@ def _to_camera(camera: Camera) -> tuple[F64, F64]:
 def keep_frustum(scene: Scene, margin: float = 0.1) -> np.ndarray:
     """Instances whose box touches the picture widened by margin (a share of it) on each side: (N,) bool.
 
-    Cycles' Simplify > Camera Culling (intern/cycles/blender/object_cull.cpp): all eight corners off one side of the picture, or all behind the near plane, culls.
+    Cycles' Simplify > Camera Culling (intern/cycles/blender/object_cull.cpp): all eight corners off one side of the picture, or behind the near plane, culls.
     """
     camera = scene.camera
     rotation, translation = _to_camera(camera)

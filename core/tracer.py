@@ -166,14 +166,14 @@ def _addresses(
     """Where the kernel finds everything; the caller keeps it alive."""
     lights = prepared.lights
     out = np.zeros(kernel.ADDRESSES, np.uint64)
-    for slot, value in {
+    places: dict[int, int] = {
         kernel.A_TABLE: address(prepared.table.table),
         kernel.A_LIGHTS: address(lights.table),
         kernel.A_LAMPS: address(lights.lamps),
         kernel.A_NODES: address(lights.nodes),
         kernel.A_CHILDREN: address(lights.children),
         kernel.A_MESHES: address(prepared.blas.table),
-        kernel.TLAS: tlas.handle,
+        kernel.TLAS: int(tlas.handle),
         kernel.A_IDS: address(tlas.ids),
         kernel.A_FIRST: address(tlas.first),
         kernel.A_SETTINGS: address(settings),
@@ -182,7 +182,8 @@ def _addresses(
         kernel.A_FILTER: address(prepared.pixel_filter),
         kernel.A_SUMS: address(sums),
         kernel.A_STATS: address(stats),
-    }.items():
+    }
+    for slot, value in places.items():
         out[slot] = value
     if feedback is not None:
         out[kernel.HITBOXES] = feedback.hitboxes
