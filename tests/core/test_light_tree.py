@@ -17,7 +17,7 @@ def some_lights(count: int, seed: int = 0) -> LightBounds:
     centre, half = rng.normal(size=(count, 3)) * 5, rng.random((count, 3)) * 0.2
     axis = rng.normal(size=(count, 3))
     axis /= np.linalg.norm(axis, axis=1)[:, None]
-    theta_o = rng.choice([0.0, 0.4, np.pi], count)
+    theta_o = rng.choice(np.array([0.0, 0.4, np.pi]), count)
     return LightBounds(centre - half, centre + half, axis, theta_o, np.full(count, np.pi / 2), rng.random(count) * 3 + 0.1, rng.random(count) < 0.4)
 
 

@@ -103,7 +103,7 @@ def test_an_area_lamp_radiates_its_power_whatever_its_spread() -> None:
     theta = (np.arange(20000) + 0.5) / 20000 * np.pi / 2
     for spread in (np.pi, 2.0, 0.6, 0.04):
         k = lamp_constants(lamp(s.LightKind.AREA, spread=spread))[0]
-        share = np.array([lamp_share(k, *(np.array([1, 2, 3])), *(np.float32(TURN[:, 2] * np.cos(a) + TURN[:, 0] * np.sin(a)))) for a in theta[::10]])
+        share = np.array([lamp_share(k, 1.0, 2.0, 3.0, *(TURN[:, 2] * np.cos(a) + TURN[:, 0] * np.sin(a))) for a in theta[::10]])
         flux = 1.5 * 0.7 * k[K_RADIANCE] * (share * np.cos(theta[::10]) * np.sin(theta[::10])).sum() * (np.pi / 2 / 2000) * 2 * np.pi
         assert flux == pytest.approx(100, rel=0.02 if spread < 0.1 else 2e-3), spread  # few angles fall into a narrow beam
 
@@ -119,7 +119,7 @@ def test_a_sun_gives_its_irradiance() -> None:
 def test_the_back_of_an_area_lamp_is_dark() -> None:
     behind = (np.array([1, 2, 3]) + TURN[:, 2]).astype(np.float32)
     assert not samples(SHAPES["rectangle"], behind, 20)
-    assert lamp_hit(lamp_constants(SHAPES["rectangle"])[0], *behind, *np.float32(-TURN[:, 2]), FAR) < 0
+    assert lamp_hit(lamp_constants(SHAPES["rectangle"])[0], *behind, *(-TURN[:, 2]).astype(np.float32), FAR) < 0
 
 
 def test_inside_of_a_lamp_all_directions_meet_it() -> None:
