@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numba import njit
 from numpy.typing import NDArray
-from scipy import stats
 
 from lipac.core import bsdf, ggx_albedo
 from lipac.core.scene import Shader
@@ -158,6 +157,7 @@ SMOOTH = [c for c in CASES if not (c[0] == Shader.TRANSPARENT or params(c[1])[bs
 @pytest.mark.parametrize("flags", [0, bsdf.BACKFACING])
 def test_samples_follow_the_pdf(degrees: float, flags: int) -> None:
     """Chi-square over cells of the sphere, 1 % significance for the family of all cases (Bonferroni)."""
+    stats = pytest.importorskip("scipy.stats")
     wi = direction(degrees)
     bins, fine, count = (16, 12), 32, 40000  # cos x azimuth, fine**2 midpoints a cell
     z = (np.arange(bins[0] * fine) + 0.5) / (bins[0] * fine) * 2.0 - 1.0
