@@ -214,6 +214,6 @@ def tlas_picture(scene: Scene, active: np.ndarray, boxes: F32, size: tuple[int, 
         Patch(facecolor=(*HITBOX, 0.25), edgecolor=HITBOX, label=f"culled: {int((~active).sum()):,}, in {len(boxes):,} hitboxes"),
         Line2D([], [], color=VIEW, lw=2, label="what the camera sees"),
     ]
-    axes.legend(handles=handles, loc="lower right", framealpha=0.9, fontsize=11)
+    axes.legend(handles=handles, loc="lower left", framealpha=0.9, fontsize=11)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
