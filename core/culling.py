@@ -44,7 +44,7 @@ class CullOptions:
     solid_angle: float = 1.0
     max_error: Budget = DEFAULT_BUDGET
     min_share: float | None = None
-    paths: int = 8
+    paths: int = 4
     width: int = 240
     nearest: int = 4
     max_iterations: int = 64
