@@ -1,5 +1,9 @@
 """LiPaC's engine: arrays in, arrays out, no Blender.
 
-Read the modules in the order of a frame: `scene` (what comes in), `blas`, `tlas` and `hitboxes` (build the structure), `tracer` (trace), `feedback` and
-`culling` (process feedback), `loop` (the three steps, repeated).
+Read the modules in the order of a frame: `scene` (what comes in), `blas`, `tlas`, `hitboxes` and `regions` (build the structure), `tracer` and `path_kernel`
+(trace), `feedback`, `culling` and `budget` (process feedback), `loop` (the three steps, repeated).
 """
+
+from . import kernel_cache
+
+kernel_cache.use()
