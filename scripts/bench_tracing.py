@@ -328,7 +328,7 @@ def compiling(folder: Path) -> dict[str, Any]:
     lipac("demo", "mirror-city", "-o", scene, "--instances", "1000")
     cache = folder.resolve() / "numba"
     shutil.rmtree(cache, ignore_errors=True)
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+    environment = os.environ | {"LIPAC_CACHE_DIR": str(cache)}
     seconds = []
     for _ in range(4):
         done = subprocess.run([sys.executable, "-c", _START, scene], env=environment, capture_output=True, text=True, check=True)
