@@ -29,7 +29,8 @@ from .tlas import Tlas
 from .tracer import Prepared, prepare, trace
 
 COLD_HITS = 4  # segments of one round that must cross a box before it is opened: fewer is chance
-SETTLED = 0.005  # segments per path that still ask for a box when the cold start ends
+SETTLED = 0.02  # segments per path that still ask for a box when the cold start ends
+ROUND_PATHS = 1 << 15  # of a round of the cold start, at least about that many
 CALIBRATIONS = 3  # traces of the culled scene at most
 
 
@@ -66,8 +67,15 @@ class _Timer:
 class Loop:
     """The loop over one scene: what exists between its rounds."""
 
-    def __init__(self, scene: Scene, options: CullOptions, cancelled: Callable[[], bool] | None = None, device: Device | None = None) -> None:
-        """cancelled: polled during long work; where it says True, `Cancelled` is raised. device: Embree's, shared by default."""
+    def __init__(
+        self,
+        scene: Scene,
+        options: CullOptions,
+        cancelled: Callable[[], bool] | None = None,
+        device: Device | None = None,
+        pinned: np.ndarray | None = None,
+    ) -> None:
+        """cancelled: polled during long work; where it says True, `Cancelled` is raised. device: Embree's, shared by default. pinned: as in `analyze`."""
         self.scene, self.options = scene, options
         self.cancelled = cancelled or (lambda: False)
         self.device = device or shared_device(options.threads)
@@ -76,7 +84,8 @@ class Loop:
         instances = scene.instances
         # What has no extent to meet takes no part: no triangles, or a transform that is not finite.
         self.exists = (instances.bounds[:, 0] <= instances.bounds[:, 1]).all(axis=1) & np.isfinite(instances.bounds).all(axis=(1, 2))
-        self.active = np.zeros(len(instances), bool)
+        self.pinned = np.zeros(len(instances), bool) if pinned is None else pinned & self.exists
+        self.active = self.pinned.copy()
         self.rounds = self.paths = self.rays = self.next_sample = 0
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         height = max(1, round(options.width * scene.film.height / scene.film.width))
@@ -148,7 +157,9 @@ class Loop:
         return picture
 
     def cold_start(self, progress: Progress = silent) -> None:
-        """Rounds of one path per pixel from nothing built, until no box is asked for any more."""
+        """Rounds from nothing built, until no box is asked for any more: first of few paths, which find most of it, then of as many as the measurement's."""
+        few = max(1, round(ROUND_PATHS / (self.size[0] * self.size[1])))
+        samples = few
         while self.rounds < self.options.max_iterations:
             self.rounds += 1
             tlas = self.build(self.active, progress)
@@ -156,10 +167,12 @@ class Loop:
             cut = self.regions.cut(self.active)
             boxes = Hitboxes(cut.bounds, self.device)
             self.timer.add("build_s", start)
-            feedback, picture = self.trace(tlas, 1, boxes)
+            feedback, picture = self.trace(tlas, samples, boxes)
             self.ambient = float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean())
             if self._ask(cut, feedback) < SETTLED:
-                return
+                if samples > few:
+                    return
+                samples = max(few + 1, self.options.paths)
             progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.active.sum()):,} of {len(self.active):,} instances active")
 
     def _ask(self, cut: Cut, feedback: Feedback) -> float:
@@ -175,6 +188,7 @@ class Loop:
 
     def result(self, keep: np.ndarray, score: F32, hits: I64, **figures: float | int) -> CullingResult:
         """States for keep (N,) bool, with the final structures built and counted; figures go into the stats."""
+        keep = keep | self.pinned
         tlas = self.build(keep)
         self.blas.keep_only(self.scene.instances.mesh[keep])
         start = time.perf_counter()
@@ -202,12 +216,14 @@ class Loop:
         return CullingResult(state, score, hits, cut.bounds, stats)
 
 
-def analyze(scene: Scene, options: CullOptions, progress: Progress = silent, cancelled: Callable[[], bool] | None = None) -> CullingResult:
-    """Decide which instances of a frame stay.
+def analyze(
+    scene: Scene, options: CullOptions, progress: Progress = silent, cancelled: Callable[[], bool] | None = None, pinned: np.ndarray | None = None
+) -> CullingResult:
+    """Decide which instances of a frame stay; those of pinned, (N,) bool, always do.
 
     Raises Cancelled where cancelled() says so, MemoryError where Embree runs out.
     """
-    loop = Loop(scene, options, cancelled)
+    loop = Loop(scene, options, cancelled, pinned=pinned)
     if options.policy != "light-paths":
         n = len(scene.instances)
         return loop.result(heuristic(scene, options) & loop.exists, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
@@ -238,13 +254,14 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     feedback, full = loop.trace(tlas, options.paths, None, weights, part(progress, 0.0, 0.4, "measuring, "))
     start = time.perf_counter()
     worth = weights.relative()
+    worth_to_select = np.where(loop.pinned[tlas.ids, None], np.inf, worth)
     saved = saved_cost(instances.mesh[tlas.ids], loop.blas.bytes_of)
     unseen = unseen_share(feedback.hits.sum(axis=1), feedback.paths)
     loop.timer.add("feedback_s", start)
     scale, best = 1.0, None
     for attempt in range(CALIBRATIONS):
         start = time.perf_counter()
-        chosen = select(worth, saved, budget.mean * scale, budget.worst * scale, min(unseen, 0.5 * budget.mean * scale))
+        chosen = select(worth_to_select, saved, budget.mean * scale, budget.worst * scale, min(unseen, 0.5 * budget.mean * scale))
         keep = np.zeros(len(instances), bool)
         keep[tlas.ids[~chosen.cull]] = True
         loop.timer.add("feedback_s", start)

@@ -1,0 +1,63 @@
+"""mirror-city, checked instance by instance against a brute-force list: who is met by any of 1,000 paths per pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lipac.core.budget import Budget
+from lipac.core.culling import CullOptions
+from lipac.core.loop import Loop, by_budget
+from lipac.core.scene import RayType
+
+PATHS = 1000
+ANALYSIS = 64
+
+
+@pytest.fixture(scope="module")
+def states():
+    """The analysis of a small city at a budget of nothing, and the brute-force counts. The measured paths are among the brute-force ones."""
+    import bpy
+
+    from lipac.lipac_addon import demo
+    from lipac.lipac_addon.extract import extract_frame
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    demo.build("mirror-city", 2000, 0)
+    render = bpy.context.scene.render
+    render.resolution_x, render.resolution_y, render.resolution_percentage = 48, 27, 100
+    scene = extract_frame(bpy.context.scene, 1).scene
+    loop = Loop(scene, CullOptions(width=48, paths=ANALYSIS))
+    loop.cold_start()
+    loop.next_sample = 0  # among the samples of the brute-force run
+    result = by_budget(loop, Budget(0.0, 0.0))
+    brute = Loop(scene, CullOptions(width=48))
+    brute.active = brute.exists.copy()
+    feedback, _ = brute.trace(brute.build(brute.active), PATHS)
+    return result, feedback
+
+
+def test_what_shows_nowhere_is_culled(states) -> None:
+    result, brute = states
+    met = brute.hits.sum(axis=1)
+    assert (met == 0).sum() > 1000  # most of the city
+    # Measuring without the culled cannot meet more than brute force does, but for rays that end on something culled: those see what is behind it.
+    assert (result.active & (met == 0)).sum() <= 2
+    assert result.active.sum() < 0.2 * len(met)
+
+
+def test_what_paths_need_is_active(states) -> None:
+    result, brute = states
+    met = brute.hits.sum(axis=1)
+    # Met by a share p of paths, an instance escapes the 64 paths of 48 x 27 pixels with probability (1 - p)**82944: below 1e-6 from this share on.
+    sure = met >= brute.paths * (1 - 1e-6 ** (1 / (ANALYSIS * 48 * 27)))
+    assert sure.sum() > 30
+    assert result.active[sure].all()
+
+
+def test_what_only_the_mirror_shows_is_active(states) -> None:
+    result, brute = states
+    camera, glossy = brute.hits[:, RayType.CAMERA], brute.hits[:, RayType.GLOSSY]
+    mirrored = (camera == 0) & (glossy > 500)
+    assert mirrored.sum() > 5
+    assert result.active[mirrored].all()
