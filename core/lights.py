@@ -1,7 +1,8 @@
 """All lights of a scene: which one to sample from a point, where on it, and with what density (for multiple importance sampling).
 
-Lights at infinity (suns, the world image) share half of the samples where there are others; lamps and emissive instances are picked by a light tree. An
-emissive instance picks a triangle by area times emission, then a point uniformly: the density uses the world-space area of that triangle, so any scale is exact.
+Lights at infinity (suns, the world image) share half of the samples where there are others; lamps and emissive instances are picked by a light tree.
+An emissive instance picks a triangle by area times emission, then a point uniformly: the density uses that triangle's area in world space, so any scale is
+exact.
 """
 
 from __future__ import annotations

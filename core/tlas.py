@@ -34,12 +34,16 @@ class Tlas:
         self._scenes = np.ascontiguousarray(blas.scenes[meshes])
         self._index = np.ascontiguousarray(entry_mesh, np.uint32)
         self._transform = np.ascontiguousarray(instances.transform[self.ids].transpose(0, 2, 1))  # columns, as Embree wants them
+        self._only = np.zeros(1, np.uint32)
         scene = device.new_scene(embree.SCENE_ROBUST)
         for mask, a, b in zip(groups.tolist(), self.first[:-1].tolist(), self.first[1:].tolist(), strict=True):
             geometry = lib.rtcNewGeometry(device.handle, embree.GEOMETRY_INSTANCE_ARRAY)
-            lib.rtcSetGeometryInstancedScenes(geometry, self._scenes.ctypes.data, len(self._scenes))
+            scenes, index = self._scenes, self._index[a:b]
+            if b - a == 1:  # Embree (4.4) reads no index buffer of one item: it takes the first scene
+                scenes, index = self._scenes[index[0] :][:1], self._only
+            lib.rtcSetGeometryInstancedScenes(geometry, scenes.ctypes.data, len(scenes))
             embree.shared_buffer(geometry, embree.BUFFER_TRANSFORM, embree.FORMAT_FLOAT3X4_COLUMN_MAJOR, self._transform[a:b], 48)
-            embree.shared_buffer(geometry, embree.BUFFER_INDEX, embree.FORMAT_UINT, self._index[a:b], 4)
+            embree.shared_buffer(geometry, embree.BUFFER_INDEX, embree.FORMAT_UINT, index, 4)
             lib.rtcSetGeometryMask(geometry, mask)
             lib.rtcCommitGeometry(geometry)
             lib.rtcAttachGeometry(scene, geometry)

@@ -112,6 +112,22 @@ def test_rays_see_what_is_visible_to_their_type() -> None:
     assert met == [0, 2, 2, 2, 1]
 
 
+def test_groups_of_one_keep_their_meshes() -> None:
+    """Embree ignores an index buffer of one item: an instance with visibility of its own must still be of its own mesh."""
+    sizes = (1.0, 2.0, 4.0)
+    meshes = [s.Mesh(scenes.quad().positions * np.float32(size), scenes.quad().triangles) for size in sizes]
+    flags = np.array([s.ALL_RAYS, s.ALL_RAYS & ~1, s.ALL_RAYS & ~2], np.uint8)
+    scene = scenes.build(meshes, [(k, scenes.placed((10.0 * k, 0, 0)), 0) for k in (0, 1, 2)], flags=flags)
+    blas = BlasCache(scene.meshes)
+    blas.need(scene.instances.mesh)
+    tlas = Tlas(scene.instances, blas, np.ones(3, bool))
+    inside = np.array([[10.0 * k + 0.49 * size, 0.1, 1.0] for k, size in enumerate(sizes)], np.float32)
+    outside = inside + np.array([[0.02 * size, 0, 0] for size in sizes], np.float32)
+    down = np.tile(np.array([0, 0, -1], np.float32), (3, 1))
+    assert shoot(tlas, inside, down)[0].tolist() == [0, 1, 2]
+    assert shoot(tlas, outside, down)[0].tolist() == [-1, -1, -1]
+
+
 def test_a_blas_is_shared_counted_and_freed() -> None:
     class Counting(list):
         loads = 0

@@ -1,0 +1,249 @@
+"""The path tracer's pictures are Cycles' pictures, within the noise of both.
+
+Each renders several seeds; every coarse tile of their means is compared by Welch's t-test. The significance level is 1 % for the whole picture (Sidak's
+correction over tiles and channels), so a right renderer fails one run in a hundred per scene at most with other seeds; with these it passes for good.
+Clamping and Filter Glossy are off: they depend on how a renderer samples, not on what it computes.
+"""
+
+import math
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Vector
+from scipy import stats
+
+import lipac
+from lipac.core.blas import BlasCache
+from lipac.core.tlas import Tlas
+from lipac.core.tracer import prepare, trace
+from lipac.lipac_addon.engines import render_blender
+from lipac.lipac_addon.extract import extract_frame
+from lipac.lipac_addon.pictures import read_picture
+
+SHARED = Path(lipac.__file__).parent.parent / "shared" / "scenes"
+SEEDS = 8
+COLUMNS, ROWS = 8, 5
+
+
+def tiles(picture):
+    """(ROWS, COLUMNS, 4) means of coarse tiles."""
+    rows = np.array_split(picture.astype(np.float64), ROWS, axis=0)
+    return np.array([[tile.mean((0, 1)) for tile in np.array_split(row, COLUMNS, axis=1)] for row in rows])
+
+
+def check(folder, samples=8, size=(80, 45)):
+    """Render the open scene both ways, and compare."""
+    scene = bpy.context.scene
+    render, cycles = scene.render, scene.cycles
+    render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 100
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.blur_glossy = 0.0
+    theirs = []
+    for seed in range(SEEDS):
+        render_blender("cycles", folder / f"{seed}", samples=samples, seed=seed + 1)
+        theirs.append(tiles(read_picture(folder / f"{seed}.exr")))
+    core = extract_frame(scene).scene
+    blas = BlasCache(core.meshes)
+    prepared = prepare(core, blas)
+    blas.need(core.instances.mesh)
+    tlas = Tlas(core.instances, blas, np.ones(len(core.instances), bool))
+    ours = [tiles(trace(prepared, tlas, samples, seed=seed).mean) for seed in range(SEEDS)]
+    compare(np.array(theirs), np.array(ours))
+
+
+def compare(theirs, ours):
+    """Welch's t-test per tile and channel, (SEEDS, ROWS, COLUMNS, 4) each."""
+    variance = theirs.var(0, ddof=1), ours.var(0, ddof=1)
+    # A tile without noise still has rounding: float32 sums.
+    error2 = (variance[0] + variance[1]) / SEEDS + (2e-6 * (1 + theirs.mean(0))) ** 2
+    freedom = (SEEDS - 1) * (variance[0] + variance[1]) ** 2 / (variance[0] ** 2 + variance[1] ** 2 + 1e-300)
+    t = (ours.mean(0) - theirs.mean(0)) / np.sqrt(error2)
+    p = 2 * stats.t.sf(np.abs(t), np.maximum(freedom, SEEDS - 1))
+    level = 1 - (1 - 0.01) ** (1 / p.size)
+    worst = np.unravel_index(p.argmin(), p.shape)
+    assert p.min() > level, f"tile {worst}: {ours.mean(0)[worst]:.5f} instead of {theirs.mean(0)[worst]:.5f}; {(p < level).sum()} of {p.size} differ"
+    # Tiles err to either side: their mean does not drift.
+    assert abs(t[error2 > 1e-10].mean()) < 1.5
+
+
+def shader(kind, **inputs):
+    """A material of one shader node."""
+    material = bpy.data.materials.new(kind)
+    tree = material.node_tree
+    tree.nodes.clear()
+    output, node = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new(kind)
+    for name, value in inputs.items():
+        node.inputs[name.replace("_", " ")].default_value = value
+    tree.links.new(node.outputs[0], output.inputs[0])
+    return material
+
+
+def lamp(kind, location, energy, **fields):
+    """A lamp that shines at the middle of the scene."""
+    light = bpy.data.lights.new(kind, kind)
+    light.energy = energy
+    for name, value in fields.items():
+        setattr(light, name, value)
+    item = bpy.data.objects.new(kind, light)
+    bpy.context.scene.collection.objects.link(item)
+    item.location = location
+    item.rotation_euler = (Vector((0, 0, 0.3)) - item.location).to_track_quat("-Z", "Y").to_euler()
+    return item
+
+
+def world(color):
+    background = bpy.context.scene.world.node_tree.nodes["Background"]
+    background.inputs[0].default_value = (*color, 1)
+    return background
+
+
+@pytest.fixture
+def stage():
+    """A plane, a cube and a coarse sphere, diffuse; a dark world; bpy.types.Scene."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.world = bpy.data.worlds.new("World")
+    world((0, 0, 0))
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    camera.location = (5, -6, 4)
+    camera.rotation_euler = (Vector((0, 0, 0.6)) - camera.location).to_track_quat("-Z", "Y").to_euler()
+    camera.data.lens = 40
+    bpy.ops.mesh.primitive_plane_add(size=12)
+    bpy.context.object.data.materials.append(shader("ShaderNodeBsdfDiffuse", Color=(0.7, 0.6, 0.5, 1)))
+    bpy.ops.mesh.primitive_cube_add(size=1.2, location=(0.8, 0.3, 0.65))
+    bpy.context.object.data.materials.append(shader("ShaderNodeBsdfDiffuse", Color=(0.3, 0.6, 0.8, 1)))
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.7, location=(-0.9, -0.4, 0.7), segments=12, ring_count=8)
+    bpy.context.object.data.materials.append(shader("ShaderNodeBsdfDiffuse", Color=(0.8, 0.3, 0.3, 1)))
+    c = scene.cycles
+    c.max_bounces = c.diffuse_bounces = c.glossy_bounces = c.transmission_bounces = 3
+    yield scene
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def paint(name, material):
+    bpy.data.objects[name].data.materials[0] = material
+
+
+LAMPS = {
+    "point": ("POINT", {"shadow_soft_size": 0.3}),
+    "sphere": ("POINT", {"shadow_soft_size": 0.5, "use_soft_falloff": False}),
+    "spot": ("SPOT", {"shadow_soft_size": 0.2, "spot_size": 0.9, "spot_blend": 0.4}),
+    "sun": ("SUN", {"angle": 0.2}),
+    "square": ("AREA", {"size": 2.0}),
+    "ellipse": ("AREA", {"shape": "ELLIPSE", "size": 2.0, "size_y": 0.7, "spread": 1.2}),
+}
+
+
+@pytest.mark.parametrize("name", LAMPS)
+def test_lamps(stage, tmp_path, name):
+    kind, fields = LAMPS[name]
+    lamp(kind, (1, -2, 3), 3 if kind == "SUN" else 300, **fields)
+    check(tmp_path, samples=4)
+
+
+def test_lamps_that_are_seen(stage, tmp_path):
+    """By the camera and in a mirror; one of them only by the mirror."""
+    paint("Sphere", shader("ShaderNodeBsdfPrincipled", Metallic=1.0, Roughness=0.05))
+    for k, visible in enumerate((True, False)):
+        item = lamp("AREA", (-1.5 + 2 * k, 2, 1.5), 60, size=1.0)
+        item.rotation_euler = (math.pi / 2 + 0.3, 0, math.pi)
+        item.visible_camera = visible
+    check(tmp_path)
+
+
+def test_many_lamps_and_emissive_meshes(stage, tmp_path):
+    rng = np.random.default_rng(1)
+    for k in range(24):
+        lamp(("POINT", "SPOT", "AREA")[k % 3], rng.uniform((-4, -4, 0.8), (4, 4, 3)), 25)
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.5, location=(1, -2, 3))
+    bpy.context.object.scale = (1, 0.4, 0.7)
+    bpy.context.object.data.materials.append(shader("ShaderNodeEmission", Strength=8.0))
+    lamp("SUN", (1, -2, 3), 1, angle=0.1)
+    check(tmp_path, samples=16)
+
+
+def test_sky_image(stage, tmp_path):
+    image = bpy.data.images.new("sky", 1024, 512, float_buffer=True)
+    pixels = np.ones((512, 1024, 4), np.float32)
+    pixels[..., :3] = np.random.default_rng(0).random((512, 1024, 3)) * 0.3
+    pixels[380:390, 320:335] = (200, 180, 150, 1)
+    image.pixels.foreach_set(pixels.ravel())
+    image.update()
+    tree = stage.world.node_tree
+    node = tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = image
+    tree.links.new(node.outputs[0], tree.nodes["Background"].inputs[0])
+    stage.world.cycles.sampling_method, stage.world.cycles.sample_map_resolution = "MANUAL", 256  # Cycles takes seconds for more
+    check(tmp_path)
+
+
+def test_metal_plastic_glass(stage, tmp_path):
+    world((0.3, 0.3, 0.4))
+    lamp("AREA", (1, -2, 3), 200, size=1.5)
+    paint("Sphere", shader("ShaderNodeBsdfGlass", Roughness=0.2))
+    for polygon in bpy.data.objects["Sphere"].data.polygons:
+        polygon.use_smooth = True
+    paint("Cube", shader("ShaderNodeBsdfPrincipled", Metallic=1.0, Roughness=0.3, Base_Color=(0.8, 0.6, 0.4, 1)))
+    paint("Plane", shader("ShaderNodeBsdfPrincipled", Roughness=0.2, Base_Color=(0.5, 0.5, 0.2, 1)))
+    check(tmp_path)
+
+
+def test_transparency(stage, tmp_path):
+    world((0.3, 0.3, 0.4))
+    lamp("SUN", (1, -2, 3), 3, angle=0.1)
+    paint("Cube", shader("ShaderNodeBsdfPrincipled", Alpha=0.4, Base_Color=(0.8, 0.2, 0.2, 1)))
+    paint("Sphere", shader("ShaderNodeBsdfTransparent", Color=(0.9, 0.5, 0.2, 1)))
+    check(tmp_path)
+
+
+def test_depth_of_field(stage, tmp_path):
+    world((0.5, 0.5, 0.5))
+    lamp("SUN", (1, -2, 3), 3, angle=0.1)
+    dof = stage.camera.data.dof
+    dof.use_dof, dof.focus_distance, dof.aperture_fstop = True, 6, 0.15
+    dof.aperture_blades, dof.aperture_ratio, dof.aperture_rotation = 5, 1.5, 0.3
+    check(tmp_path)
+
+
+def test_smooth_and_mirrored_meshes(stage, tmp_path):
+    world((0.4, 0.4, 0.4))
+    lamp("POINT", (1, -2, 3), 300, shadow_soft_size=0.1)
+    bpy.data.objects["Sphere"].scale, bpy.data.objects["Cube"].scale = (-1, 1.4, 0.6), (1, -1, 1)
+    for polygon in bpy.data.objects["Sphere"].data.polygons:
+        polygon.use_smooth = True
+    check(tmp_path)
+
+
+def test_orthographic_transparent_film(stage, tmp_path):
+    world((0.4, 0.4, 0.4))
+    stage.render.film_transparent, stage.cycles.film_exposure, stage.cycles.pixel_filter_type = True, 1.7, "GAUSSIAN"
+    camera = stage.camera.data
+    camera.type, camera.ortho_scale, camera.shift_x = "ORTHO", 5, 0.1
+    bpy.data.objects["Plane"].scale = (0.2, 0.2, 1)
+    check(tmp_path)
+
+
+def test_who_sees_what(stage, tmp_path):
+    """Ray visibility of objects and of the world."""
+    world((0.5, 0.5, 0.6))
+    lamp("SUN", (1, -2, 3), 3, angle=0.1)
+    stage.world.cycles_visibility.diffuse = False
+    bpy.data.objects["Cube"].visible_camera = False
+    bpy.data.objects["Sphere"].visible_shadow = False
+    bpy.data.objects["Sphere"].visible_diffuse = False
+    paint("Plane", shader("ShaderNodeBsdfPrincipled", Metallic=1.0, Roughness=0.1))
+    check(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "samples"), [("kitchen", 16), ("indoor", 4), ("rooms1024", 8), ("candela_city", 4)])
+def test_supplied_scenes(tmp_path, name, samples):
+    path = SHARED / f"{name}.blend"
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
+    check(tmp_path, samples, (64, 36))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
