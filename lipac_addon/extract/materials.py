@@ -66,7 +66,10 @@ class MaterialTable:
             record["metallic"], record["roughness"] = material.metallic, material.roughness
             return record
         inlined = material.inline_shader_nodes()  # keeps the tree alive
-        record = convert_tree(inlined.node_tree, self.textures, report)
+        tree = inlined.node_tree
+        if tree.get_output_node("CYCLES") is None:
+            tree = material.node_tree  # only the active output is inlined, and that one may be EEVEE's
+        record = convert_tree(tree, self.textures, report)
         record["mis_emission"] = material.cycles.emission_sampling != "NONE"
         return record
 

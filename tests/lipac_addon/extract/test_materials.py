@@ -318,3 +318,18 @@ def test_gltf_import(tmp_path: Path) -> None:
         assert scene.textures.records[index]["srgb"] == (name in {"base_color", "alpha", "emission"})
         np.testing.assert_allclose(scene.textures.records[index]["uv_matrix"][:, :2], [[2, 0], [0, 2]], atol=1e-6)
     assert scene.meshes[0].uvs is not None
+
+
+def test_an_output_for_cycles_counts_though_another_is_active() -> None:
+    material = bpy.data.materials.new("two outputs")
+    tree = material.node_tree
+    tree.nodes.clear()
+    for target, color in (("EEVEE", (1, 0, 0, 1)), ("CYCLES", (0, 1, 0, 1))):
+        output, node = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new("ShaderNodeBsdfDiffuse")
+        output.target, output.is_active_output = target, target == "EEVEE"
+        node.inputs["Color"].default_value = color
+        tree.links.new(node.outputs[0], output.inputs[0])
+    tree.nodes["Material Output"].is_active_output = True
+    table = MaterialTable(TextureTable(print))
+    table.index(material)
+    assert table.records[0]["base_color"].tolist() == [0, 1, 0]
