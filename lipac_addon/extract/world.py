@@ -106,6 +106,8 @@ def _bake_scene(world: Any) -> Iterator[Any]:
 
 def bake(world: Any, height: int, samples: int) -> F32:
     """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `core.scene.World.image`. Raises InputError if Cycles fails."""
+    from ..pictures import read_picture
+
     with no_new_images(), _bake_scene(world) as scene, tempfile.TemporaryDirectory() as folder:
         scene.render.engine = "CYCLES"
         scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 2 * height, height, 100
@@ -122,16 +124,6 @@ def bake(world: Any, height: int, samples: int) -> F32:
             bpy.ops.render.render(scene=scene.name, write_still=True)
         if not path.exists():
             raise InputError(f"world {world.name!r} could not be baked: Cycles rendered nothing")
-        pixels = _read_exr(path)
+        pixels = read_picture(path)[:, :, :3]
     # Cycles' picture has +X in its middle column, the core's has -X there
-    return np.ascontiguousarray(np.roll(pixels[::-1], height, axis=1))
-
-
-def _read_exr(path: Path) -> F32:
-    import OpenEXR
-
-    with OpenEXR.File(str(path)) as file:
-        channels = file.channels()
-        if "RGB" in channels:
-            return np.asarray(channels["RGB"].pixels, np.float32)
-        return np.stack([np.asarray(channels[c].pixels, np.float32) for c in "RGB"], axis=2)
+    return np.ascontiguousarray(np.roll(pixels, height, axis=1))

@@ -132,3 +132,17 @@ def test_cancel_stops_the_work() -> None:
     calls = iter([False] * 3)
     with pytest.raises(Cancelled):
         analyze(stage(), OPTIONS, cancelled=lambda: next(calls, True))
+
+
+@pytest.mark.parametrize("options", [CullOptions(width=160), OPTIONS, CullOptions(policy="distance", distance=0.1)], ids=["budget", "counts", "distance"])
+def test_what_is_pinned_stays(options: CullOptions) -> None:
+    scene = stage()
+    pinned = np.zeros(len(scene.instances), bool)
+    pinned[[BEHIND_MIRROR, UNDERGROUND]] = True
+    scene.instances.bounds[UNDERGROUND + 1] = np.nan
+    free, result = analyze(scene, options), analyze(scene, options, pinned=pinned)
+    assert not free.active[pinned].any()
+    assert result.active[pinned].all()
+    np.testing.assert_array_equal(result.active[~pinned], free.active[~pinned])
+    assert result.stats["active"] == free.stats["active"] + 2
+    assert not analyze(scene, options, pinned=np.ones(len(pinned), bool)).active[UNDERGROUND + 1]  # it cannot exist
