@@ -305,23 +305,20 @@ def paths(folder: Path) -> dict[str, Any]:
 
 _START = """
 import sys, time
-start = time.perf_counter()
 import bpy
+from lipac.core.culling import CullOptions
 from lipac.lipac_addon.extract import extract_frame
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
-loaded = time.perf_counter()
+start = time.perf_counter()
 scene = extract_frame(bpy.context.scene).scene
-from lipac.core.loop import Loop
-from lipac.core.culling import CullOptions
-loop = Loop(scene, CullOptions())
-import numpy as np
-loop.trace(loop.build(np.ones(len(scene.instances), bool)), None, 1)
-print("SECONDS", time.perf_counter() - loaded)
+from lipac.core.loop import analyze
+analyze(scene, CullOptions(width=16, paths=1))
+print("SECONDS", time.perf_counter() - start)
 """
 
 
 def compiling(folder: Path) -> dict[str, Any]:
-    """Seconds from the scene being loaded to the first picture traced: with no kernel compiled, and with all of them cached."""
+    """Seconds from the file being open to the end of an analysis of a few pixels: with no kernel compiled, and with all of them cached."""
     from .compare import lipac
 
     scene = folder / "small-city.blend"
@@ -331,7 +328,7 @@ def compiling(folder: Path) -> dict[str, Any]:
     environment = os.environ | {"LIPAC_CACHE_DIR": str(cache)}
     seconds = []
     for _ in range(4):
-        done = subprocess.run([sys.executable, "-c", _START, scene], env=environment, capture_output=True, text=True, check=True)
+        done = subprocess.run([sys.executable, "-c", _START, scene], env=environment, stdout=subprocess.PIPE, text=True, check=True)
         seconds.append(float(done.stdout.split("SECONDS")[1].split()[0]))
     shutil.rmtree(cache, ignore_errors=True)
     warm = statistics.median(seconds[1:])
