@@ -30,7 +30,7 @@ from .tracer import Prepared, prepare, trace
 
 COLD_HITS = 4  # segments of one round that must cross a box before it is opened: fewer is chance
 SETTLED = 0.02  # segments per path that still ask for a box when the cold start ends
-ROUND_PATHS = 1 << 15  # of a round of the cold start, at least about that many
+ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
 CALIBRATIONS = 3  # traces of the culled scene at most
 
 
@@ -64,6 +64,17 @@ class _Timer:
         self.seconds[step] += time.perf_counter() - start
 
 
+@dataclass(frozen=True)
+class Measurement:
+    """Feedback of a trace of candidates, its mean picture (H, W, 4) float32, and the number of its first sample."""
+
+    tlas: Tlas
+    feedback: Feedback
+    weights: Weights
+    picture: F32
+    first_sample: int
+
+
 class Loop:
     """The loop over one scene: what exists between its rounds."""
 
@@ -87,6 +98,7 @@ class Loop:
         self.pinned = np.zeros(len(instances), bool) if pinned is None else pinned & self.exists
         self.active = self.pinned.copy()
         self.rounds = self.paths = self.rays = self.next_sample = 0
+        self.measured: Measurement | None = None
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         height = max(1, round(options.width * scene.film.height / scene.film.width))
         self.size = (min(options.width, scene.film.width), min(height, scene.film.height))
@@ -110,18 +122,35 @@ class Loop:
         return tlas
 
     def trace(
-        self, tlas: Tlas, samples: int, boxes: Hitboxes | None = None, weights: Weights | None = None, progress: Progress = silent
+        self,
+        tlas: Tlas,
+        samples: int,
+        boxes: Hitboxes | None = None,
+        weights: Weights | None = None,
+        progress: Progress = silent,
+        size: tuple[int, int] | None = None,
     ) -> tuple[Feedback, F32]:
-        """Trace samples paths per pixel of the analysis picture, with random numbers that no earlier round used. Returns feedback and mean picture."""
+        """Trace samples paths per pixel of a picture of size (the analysis' own by default), with random numbers that no earlier round used.
+
+        Returns feedback and the mean picture.
+        """
         start = time.perf_counter()
         feedback = Feedback.zeros(len(self.scene.instances), boxes, weights)
-        picture = self._trace(self.prepared, tlas, samples, self.next_sample, feedback, progress)
+        picture = self._trace(self.prepared, tlas, samples, self.next_sample, feedback, progress, size or self.size)
         self.next_sample += samples
         self.paths += picture.paths
         self.rays += picture.rays
         feedback.paths = picture.paths
         self.timer.add("trace_s", start)
         return feedback, picture.mean
+
+    def measure(self, tlas: Tlas | None = None, boxes: Hitboxes | None = None, progress: Progress = silent) -> Measurement:
+        """Hits and weights of the instances in tlas (default: the active ones), by the number of paths per pixel that the options ask for."""
+        tlas = tlas or self.build(self.active)
+        weights = Weights.zeros(len(self.active), tlas.ids, self.ambient)
+        first_sample = self.next_sample
+        feedback, picture = self.trace(tlas, self.options.paths, boxes, weights, progress)
+        return Measurement(tlas, feedback, weights, picture, first_sample)
 
     def trace_again(self, keep: np.ndarray, first_sample: int, samples: int, progress: Progress = silent) -> F32:
         """The mean picture with only keep (N,) bool in the scene, by the same random numbers as a trace that began at first_sample.
@@ -133,12 +162,14 @@ class Loop:
         flags = np.where(keep, self.scene.instances.flags, np.uint8(0))
         instances = dataclasses.replace(self.scene.instances, flags=flags)
         prepared = self.prepared.with_instances(instances)
-        picture = self._trace(prepared, tlas, samples, first_sample, None, progress)
+        picture = self._trace(prepared, tlas, samples, first_sample, None, progress, self.size)
         self.rays += picture.rays
         self.timer.add("trace_s", start)
         return picture.mean
 
-    def _trace(self, prepared: Prepared, tlas: Tlas, samples: int, first_sample: int, feedback: Feedback | None, progress: Progress) -> Picture:
+    def _trace(
+        self, prepared: Prepared, tlas: Tlas, samples: int, first_sample: int, feedback: Feedback | None, progress: Progress, size: tuple[int, int]
+    ) -> Picture:
         picture = trace(
             prepared,
             tlas,
@@ -146,8 +177,9 @@ class Loop:
             first_sample=first_sample,
             seed=self.options.seed,
             feedback=feedback,
+            hitbox_every=self.options.hitbox_every,
             nearest=self.options.nearest,
-            size=self.size,
+            size=size,
             threads=self.options.threads,
             progress=progress,
             cancelled=self.cancelled,
@@ -157,23 +189,26 @@ class Loop:
         return picture
 
     def cold_start(self, progress: Progress = silent) -> None:
-        """Rounds from nothing built, until no box is asked for any more: first of few paths, which find most of it, then of as many as the measurement's."""
-        few = max(1, round(ROUND_PATHS / (self.size[0] * self.size[1])))
-        samples = few
+        """Rounds from nothing built, until no box is asked for any more: coarse ones, of few paths, then ones that measure; the last leaves `measured`."""
+        coarse_size = (max(self.size[0] // 2, 1), max(self.size[1] // 2, 1))
+        coarse = True
         while self.rounds < self.options.max_iterations:
             self.rounds += 1
-            tlas = self.build(self.active, progress)
+            progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.active.sum()):,} of {len(self.active):,} instances active")
+            tlas = self.build(self.active)
             start = time.perf_counter()
             cut = self.regions.cut(self.active)
             boxes = Hitboxes(cut.bounds, self.device)
             self.timer.add("build_s", start)
-            feedback, picture = self.trace(tlas, samples, boxes)
-            self.ambient = float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean())
-            if self._ask(cut, feedback) < SETTLED:
-                if samples > few:
+            if coarse:
+                samples = max(1, round(ROUND_PATHS / (coarse_size[0] * coarse_size[1])))
+                feedback, picture = self.trace(tlas, samples, boxes, size=coarse_size)
+                self.ambient = float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean())
+                coarse = self._ask(cut, feedback) >= SETTLED
+            else:
+                self.measured = self.measure(tlas, boxes)
+                if self._ask(cut, self.measured.feedback) < SETTLED:
                     return
-                samples = max(few + 1, self.options.paths)
-            progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.active.sum()):,} of {len(self.active):,} instances active")
 
     def _ask(self, cut: Cut, feedback: Feedback) -> float:
         """Open the boxes that paths asked for, activate instances met before they were active. Returns how many segments per path asked."""
@@ -235,10 +270,24 @@ def analyze(
 
 def by_counts(loop: Loop, min_share: float, progress: Progress = silent) -> CullingResult:
     """Keep what at least min_share of the paths meet; the score is that share."""
-    feedback, _ = loop.trace(loop.build(loop.active), loop.options.paths, progress=progress)
+    feedback = (loop.measured or loop.measure(progress=progress)).feedback
     met = feedback.hits.sum(axis=1)
-    keep = loop.active & (met > 0) & (met >= min_share * feedback.paths)
+    keep = loop.pinned | (loop.active & (met > 0) & (met >= min_share * feedback.paths))
     return loop.result(keep, (met / max(feedback.paths, 1)).astype(np.float32), feedback.hits)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """A selection, tried: keep (N,) bool, and the change of the picture that it makes."""
+
+    keep: np.ndarray
+    selection: Selection
+    mean: float
+    worst: float
+
+    def excess(self, budget: Budget) -> float:
+        """The change over what the budget allows, of the bound that is nearer to being broken."""
+        return max((change / max(bound, 1e-30) for change, bound in ((self.mean, budget.mean), (self.worst, budget.worst)) if change), default=0.0)
 
 
 def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> CullingResult:
@@ -247,44 +296,47 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     What each instance is worth alone does not say what many are worth together, nor what lies behind them. So the culled scene is traced with the same random
     numbers and compared, and the selection is tightened until both bounds hold, or loosened once where they hold by far.
     """
-    options, instances = loop.options, loop.scene.instances
-    tlas = loop.build(loop.active)
-    weights = Weights.zeros(len(instances), tlas.ids, loop.ambient)
-    first_sample = loop.next_sample
-    feedback, full = loop.trace(tlas, options.paths, None, weights, part(progress, 0.0, 0.4, "measuring, "))
+    measured = loop.measured or loop.measure(progress=part(progress, 0.0, 0.3, "measuring, "))
     start = time.perf_counter()
-    worth = weights.relative()
-    worth_to_select = np.where(loop.pinned[tlas.ids, None], np.inf, worth)
-    saved = saved_cost(instances.mesh[tlas.ids], loop.blas.bytes_of)
-    unseen = unseen_share(feedback.hits.sum(axis=1), feedback.paths)
+    ids, hits = measured.tlas.ids, measured.feedback.hits
+    worth = measured.weights.relative()
+    bound_worth = np.where(loop.pinned[ids, None], np.inf, worth)
+    saved = saved_cost(loop.scene.instances.mesh[ids], loop.blas.bytes_of)
+    unseen = unseen_share(hits.sum(axis=1), measured.feedback.paths)
     loop.timer.add("feedback_s", start)
-    scale, best = 1.0, None
-    for attempt in range(CALIBRATIONS):
+
+    def attempt(scale: float, progress: Progress) -> _Choice:
         start = time.perf_counter()
-        chosen = select(worth_to_select, saved, budget.mean * scale, budget.worst * scale, min(unseen, 0.5 * budget.mean * scale))
-        keep = np.zeros(len(instances), bool)
-        keep[tlas.ids[~chosen.cull]] = True
+        mean = budget.mean * scale
+        selection = select(bound_worth, saved, mean, budget.worst * scale, min(unseen, 0.5 * mean))
+        keep = loop.pinned.copy()
+        keep[ids[~selection.cull]] = True
         loop.timer.add("feedback_s", start)
-        if chosen.cull.any():
-            picture = loop.trace_again(keep, first_sample, options.paths, part(progress, 0.4 + 0.2 * attempt, 0.6 + 0.2 * attempt, "calibrating, "))
-            mean, worst = change(full, picture, COLUMNS, ROWS)
-        else:
-            mean = worst = 0.0
-        excess = max(mean / max(budget.mean, 1e-30), worst / max(budget.worst, 1e-30)) if mean or worst else 0.0
-        if excess <= 1.0 and (best is None or scale > best[0]):
-            best = (scale, keep, chosen, mean, worst)
-        if excess > 1.0 and best is None:
+        if not selection.cull.any():
+            return _Choice(keep, selection, 0.0, 0.0)
+        picture = loop.trace_again(keep, measured.first_sample, loop.options.paths, progress)
+        return _Choice(keep, selection, *change(measured.picture, picture, COLUMNS, ROWS))
+
+    chosen, scale = None, 1.0
+    for i in range(CALIBRATIONS):
+        choice = attempt(scale, part(progress, 0.3 + 0.7 * i / CALIBRATIONS, 0.3 + 0.7 * (i + 1) / CALIBRATIONS, "calibrating, "))
+        excess = choice.excess(budget)
+        if excess > 1.0:
+            if chosen:
+                break
             scale *= max(0.8 / excess, 0.1)
-        elif best is not None and attempt == 0 and excess < 0.5 and chosen.cull.any() and not chosen.cull.all():
-            scale *= min(0.8 / max(excess, 0.1), 4.0)
         else:
-            break
-    if best is None:  # nothing that was tried holds: keep everything that was met
-        keep = np.zeros(len(instances), bool)
-        keep[tlas.ids[worth.any(axis=1)]] = True
-        best = (0.0, keep, Selection(np.zeros(len(tlas), bool), unseen, 0.0), 0.0, 0.0)
-    _, keep, chosen, mean, worst = best
-    score = np.zeros(len(instances), np.float32)
-    score[tlas.ids] = worth.mean(axis=1)
-    error = {"predicted_mean": chosen.mean, "predicted_worst": chosen.worst, "calibrated_mean": mean, "calibrated_worst": worst}
-    return loop.result(keep, score, feedback.hits, **error)
+            chosen = choice
+            if i or excess > 0.5 or choice.selection.cull.all():
+                break
+            scale *= min(0.8 / max(excess, 0.1), 4.0)
+    chosen = chosen or attempt(0.0, progress)  # nothing that was tried holds: keep everything that was met
+    score = np.zeros(len(loop.active), np.float32)
+    score[ids] = worth.mean(axis=1)
+    error = {
+        "predicted_mean": chosen.selection.mean,
+        "predicted_worst": chosen.selection.worst,
+        "calibrated_mean": chosen.mean,
+        "calibrated_worst": chosen.worst,
+    }
+    return loop.result(chosen.keep, score, hits, **error)

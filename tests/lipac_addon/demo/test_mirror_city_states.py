@@ -29,7 +29,7 @@ def states():
     scene = extract_frame(bpy.context.scene, 1).scene
     loop = Loop(scene, CullOptions(width=48, paths=ANALYSIS))
     loop.cold_start()
-    loop.next_sample = 0  # among the samples of the brute-force run
+    loop.measured, loop.next_sample = None, 0  # measured anew, among the samples of the brute-force run
     result = by_budget(loop, Budget(0.0, 0.0))
     brute = Loop(scene, CullOptions(width=48))
     brute.active = brute.exists.copy()
