@@ -1,0 +1,194 @@
+"""The overlay: boxes of the analysed instances in the 3D viewport, with a legend.
+
+One shader, one batch of a cube's twelve edges, one texture with all boxes, made anew only for another result: a draw call for each kind that is shown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import blf
+import bpy
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+from mathutils import Matrix
+
+from . import results
+from .boxes import COLORS, CORNERS, EDGES, KINDS, ROW, Boxes, boxes_of
+from .results import FrameResult
+
+_VERTEX = """
+void main()
+{
+  int box = first + gl_InstanceID;
+  ivec2 at = ivec2(2 * (box % row), box / row);
+  vec3 low = texelFetch(boxes, at, 0).xyz;
+  vec3 high = texelFetch(boxes, at + ivec2(1, 0), 0).xyz;
+  gl_Position = view_projection * vec4(mix(low, high, corner), 1.0);
+}
+"""
+_FRAGMENT = """
+void main()
+{
+  result = color;
+}
+"""
+_MARGIN, _LINE, _SWATCH, _TEXT = 20, 20, 12, 12  # of the legend, in pixels
+
+
+@dataclass
+class _Drawn:
+    """What is on the graphics card for one result."""
+
+    result: FrameResult
+    boxes: Boxes
+    texture: Any
+
+
+_shader: Any = None
+_batch: Any = None
+_drawn: _Drawn | None = None
+_frozen: dict[int, FrameResult] = {}  # by the scene's session uid
+_handles: list[Any] = []
+uploads = 0  # how often boxes were sent to the graphics card
+
+
+def _make_shader() -> Any:
+    info = gpu.types.GPUShaderCreateInfo()
+    info.push_constant("MAT4", "view_projection")
+    info.push_constant("VEC4", "color")
+    info.push_constant("INT", "first")
+    info.push_constant("INT", "row")
+    info.sampler(0, "FLOAT_2D", "boxes")
+    info.vertex_in(0, "VEC3", "corner")
+    info.fragment_out(0, "VEC4", "result")
+    info.vertex_source(_VERTEX)
+    info.fragment_source(_FRAGMENT)
+    return gpu.shader.create_from_info(info)
+
+
+def _upload(result: FrameResult) -> _Drawn:
+    """The boxes of a result on the graphics card: made where they are not there."""
+    global _shader, _batch, _drawn, uploads  # noqa: PLW0603
+    if _shader is None:
+        _shader = _make_shader()
+        _batch = batch_for_shader(_shader, "LINES", {"corner": CORNERS}, indices=EDGES)
+    if _drawn is None or _drawn.result is not result:
+        boxes = boxes_of(result)
+        rows, columns, _ = boxes.texels.shape
+        data = gpu.types.Buffer("FLOAT", boxes.texels.size, boxes.texels.ravel())
+        _drawn = _Drawn(result, boxes, gpu.types.GPUTexture((columns, rows), format="RGBA32F", data=data))
+        uploads += 1
+    return _drawn
+
+
+def shown(settings: Any) -> tuple[str, ...]:
+    """Kinds of boxes that the settings ask for."""
+    return tuple(kind for kind in KINDS if getattr(settings, f"show_{kind}"))
+
+
+def source(scene: bpy.types.Scene) -> FrameResult | None:
+    """The result to draw for a scene: the frozen one, else that of the current frame."""
+    if scene.lipac.freeze and scene.session_uid in _frozen:
+        return _frozen[scene.session_uid]
+    return results.at(scene)
+
+
+def freeze(scene: bpy.types.Scene, on: bool) -> None:
+    """Keep drawing the current result, or no longer."""
+    _frozen.pop(scene.session_uid, None)
+    result = results.at(scene)
+    if on and result is not None:
+        _frozen[scene.session_uid] = result
+
+
+def forget() -> None:
+    """Let go of everything that was drawn."""
+    global _drawn  # noqa: PLW0603
+    _drawn = None
+    _frozen.clear()
+
+
+def draw_boxes(result: FrameResult, kinds: tuple[str, ...], opacity: float, view_projection: Any) -> int:
+    """Draw boxes into the active framebuffer; returns the number of draw calls. view_projection: (4, 4), of the world."""
+    drawn = _upload(result)
+    matrix = np.array(view_projection, np.float64)
+    matrix[:, 3] += matrix[:, :3] @ drawn.boxes.origin  # in double precision: far from the world's origin single is not enough
+    gpu.state.blend_set("ALPHA")
+    gpu.state.depth_test_set("LESS_EQUAL")
+    gpu.state.depth_mask_set(False)
+    calls = 0
+    try:
+        _shader.bind()
+        _shader.uniform_float("view_projection", Matrix(matrix.tolist()))
+        _shader.uniform_int("row", ROW)
+        _shader.uniform_sampler("boxes", drawn.texture)
+        for kind, (first, count) in zip(KINDS, drawn.boxes.ranges, strict=True):
+            if kind in kinds and count:
+                _shader.uniform_int("first", first)
+                _shader.uniform_float("color", (*COLORS[kind], opacity))
+                _batch.draw_instanced(_shader, instance_count=count)
+                calls += 1
+    finally:
+        gpu.state.blend_set("NONE")
+        gpu.state.depth_test_set("NONE")
+        gpu.state.depth_mask_set(False)
+    return calls
+
+
+def legend_of(result: FrameResult, kinds: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Lines of the legend: kind and text."""
+    culled = int(result.culled.sum())
+    texts = {
+        "active": f"active: {len(result.culled) - culled:,} instances",
+        "regions": f"regions that stand in for what is culled: {len(result.regions):,}",
+        "culled": f"culled: {culled:,} instances",
+    }
+    return [(kind, texts[kind]) for kind in KINDS if kind in kinds]
+
+
+def draw_legend(result: FrameResult, kinds: tuple[str, ...], scale: float = 1.0) -> None:
+    """Draw the legend into the lower left corner of the active framebuffer, in pixels."""
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    gpu.state.blend_set("ALPHA")
+    for k, (kind, text) in enumerate(reversed(legend_of(result, kinds))):
+        x, y, side = _MARGIN * scale, (_MARGIN + k * _LINE) * scale, _SWATCH * scale
+        corners = [(x, y), (x + side, y), (x + side, y + side), (x, y + side)]
+        shader.uniform_float("color", (*COLORS[kind], 1.0))
+        batch_for_shader(shader, "TRIS", {"pos": corners}, indices=[(0, 1, 2), (0, 2, 3)]).draw(shader)
+        blf.size(0, _TEXT * scale)
+        blf.color(0, 0.9, 0.9, 0.9, 1.0)
+        blf.position(0, x + 1.5 * side, y + 0.1 * side, 0)
+        blf.draw(0, text)
+    gpu.state.blend_set("NONE")
+
+
+def _draw_view() -> None:
+    context = bpy.context
+    result = source(context.scene)
+    if context.scene.lipac.show_overlay and result is not None:
+        draw_boxes(result, shown(context.scene.lipac), context.scene.lipac.opacity, context.region_data.perspective_matrix)
+
+
+def _draw_pixels() -> None:
+    context = bpy.context
+    result = source(context.scene)
+    if context.scene.lipac.show_overlay and result is not None:
+        draw_legend(result, shown(context.scene.lipac), context.preferences.system.ui_scale)
+
+
+def register() -> None:
+    """Add the draw handlers."""
+    for draw, when in ((_draw_view, "POST_VIEW"), (_draw_pixels, "POST_PIXEL")):
+        _handles.append(bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", when))
+
+
+def unregister() -> None:
+    """Remove them, and let go of what is on the graphics card."""
+    global _shader, _batch  # noqa: PLW0603
+    while _handles:
+        bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
+    forget()
+    _shader = _batch = None

@@ -1,0 +1,211 @@
+"""The panel "LiPaC" in the sidebar of the 3D viewport."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from . import job, props, results, wheels
+from .operators import LIPAC_OT_analyze, LIPAC_OT_apply, LIPAC_OT_mark, LIPAC_OT_restore
+
+_LONGEST = 40  # characters of a line in a sidebar of usual width
+_OWN = {"frustum": "margin", "distance": "distance", "solid-angle": "solid_angle"}
+
+
+def lines(text: str, width: int = _LONGEST) -> list[str]:
+    """A text broken into lines for labels."""
+    from textwrap import wrap
+
+    return wrap(text, width) or [""]
+
+
+def size(count: float) -> str:
+    """Bytes as people read them."""
+    for unit in ("B", "KiB", "MiB"):
+        if count < 1024:
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
+        count /= 1024
+    return f"{count:.1f} GiB"
+
+
+def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
+    """The figures of a result as label and text."""
+    stats = result.stats
+    total, active = int(stats["instances"]), int(stats["active"])
+    rows = [
+        ("Instances", f"{total:,}"),
+        ("Active", f"{active:,} ({100 * active / max(total, 1):.1f} %)"),
+        ("Regions culled", f"{int(stats['hitboxes']):,}"),
+        ("Memory of the active", size(stats["blas_bytes"] + stats["tlas_bytes"])),
+    ]
+    if "calibrated_mean" in stats:
+        for name, label in (("predicted", "Change, predicted"), ("calibrated", "Change, measured")):
+            rows.append((label, f"{100 * stats[name + '_mean']:.2f} %, worst {100 * stats[name + '_worst']:.2f} %"))
+    return rows
+
+
+def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tuple[str, str]]:
+    """What a result says about an object."""
+    reason = result.reason(ob)
+    if not reason.instances:
+        return []
+    what = "kept" if reason.kept == reason.instances else "culled" if not reason.kept else f"{reason.kept:,} of {reason.instances:,} kept"
+    rows = [("This frame", what)]
+    if "calibrated_mean" in result.stats:
+        rows += [(f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n]
+        if not reason.paths.any():
+            rows.append(("Light paths", "none meets it"))
+    return rows
+
+
+def _table(layout: bpy.types.UILayout, rows: list[tuple[str, str]]) -> None:
+    column = layout.column(align=True)
+    for label, text in rows:
+        split = column.split(factor=0.5)
+        split.label(text=label)
+        split.label(text=text)
+
+
+class _Sidebar:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "LiPaC"
+
+
+class _Child(_Sidebar):
+    bl_parent_id = "LIPAC_PT_main"
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        return not wheels.missing()
+
+
+class LIPAC_PT_main(_Sidebar, bpy.types.Panel):  # noqa: N801
+    """Analyze, apply, restore, and what came of it."""
+
+    bl_label = "LiPaC"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.lipac
+        if wheels.missing():
+            column = layout.column(align=True)
+            column.alert = True
+            for line in lines(f"LiPaC cannot run: missing {', '.join(wheels.missing())}. Please {wheels.REINSTALL}."):
+                column.label(text=line)
+            return
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "policy")
+        if settings.policy == "light-paths":
+            column = layout.column(align=True)
+            column.prop(settings, "max_error")
+            column.prop(settings, "worst_error")
+        else:
+            layout.prop(settings, _OWN[settings.policy])
+        layout.prop(settings, "frames")
+        if job.running is not None and not job.running.done:
+            layout.progress(factor=job.running.progress, text="Esc cancels")
+            column = layout.column(align=True)
+            for line in lines(job.running.message):
+                column.label(text=line)
+        else:
+            layout.operator(LIPAC_OT_analyze.bl_idname, icon="LIGHT_SUN")
+        if job.running is not None and job.running.error:
+            column = layout.column(align=True)
+            column.alert = not job.running.cancelled
+            for line in lines(job.running.error):
+                column.label(text=line)
+        layout.separator()
+        row = layout.row(align=True)
+        row.operator(LIPAC_OT_apply.bl_idname, depress=settings.applied)
+        row.operator(LIPAC_OT_restore.bl_idname)
+        layout.prop(settings, "use_for_renders")
+
+
+class LIPAC_PT_results(_Child, bpy.types.Panel):  # noqa: N801
+    """Figures of the current frame."""
+
+    bl_label = "Results"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, scene = self.layout, context.scene
+        found, result = results.of(scene), results.at(scene)
+        if result is None:
+            layout.label(text="This frame was not analyzed" if found else "Nothing analyzed yet")
+            return
+        _table(layout, rows_of(result))
+        if len(found) > 1:
+            layout.label(text=f"{len(found)} frames analyzed")
+        column = layout.column(align=True)
+        for text in result.warnings:
+            for k, line in enumerate(lines(text)):
+                column.label(text=line, icon="INFO" if k == 0 else "BLANK1")
+
+
+class LIPAC_PT_object(_Child, bpy.types.Panel):  # noqa: N801
+    """Why the active object stays or goes; Pin and Ignore."""
+
+    bl_label = "Object and Collection"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, ob, result = self.layout, context.object, results.at(context.scene)
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        if ob is not None:
+            layout.prop(ob.lipac, "role", text=ob.name)
+            if result is not None:
+                _table(layout, rows_of_object(result, ob) or [("This frame", "shows no instances")])
+        if context.collection is not None:
+            layout.prop(context.collection.lipac, "role", text=context.collection.name)
+        row = layout.row(align=True)
+        row.label(text="Selected")
+        for name, label, *_ in props.ROLES:
+            row.operator(LIPAC_OT_mark.bl_idname, text=label).role = name
+
+
+class LIPAC_PT_overlay(_Child, bpy.types.Panel):  # noqa: N801
+    """What the viewport shows of the result."""
+
+    bl_label = "Overlay"
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        self.layout.prop(context.scene.lipac, "show_overlay", text="")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.lipac
+        layout.active = settings.show_overlay
+        row = layout.row(align=True)
+        for name in ("show_active", "show_regions", "show_culled"):
+            row.prop(settings, name, toggle=True)
+        layout.prop(settings, "opacity", slider=True)
+        layout.prop(settings, "freeze")
+
+
+class LIPAC_PT_advanced(_Child, bpy.types.Panel):  # noqa: N801
+    """Settings that rarely need a change."""
+
+    bl_label = "Advanced"
+    bl_options: Any = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        for name in ("paths", "width", "seed", "threads"):
+            layout.prop(context.scene.lipac, name)
+
+
+_CLASSES = (LIPAC_PT_main, LIPAC_PT_results, LIPAC_PT_object, LIPAC_PT_overlay, LIPAC_PT_advanced)
+
+
+def register() -> None:
+    """Register the panels."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Unregister them."""
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,166 @@
+"""What the user sets: on the scene, and per object and collection."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
+
+if TYPE_CHECKING:
+    from ...core.culling import CullOptions
+
+AUTO, PIN, IGNORE = "AUTO", "PIN", "IGNORE"
+ROLES = (
+    (AUTO, "Automatic", "The analysis decides", "NONE", 0),
+    (PIN, "Pin", "Never cull: the analysis keeps it, whatever its light paths say", "PINNED", 1),
+    (IGNORE, "Ignore", "Stay out of it: the analysis sees it, but renders show it as you set it", "GHOST_DISABLED", 2),
+)
+POLICIES = (
+    ("light-paths", "Light paths", "Keep what light paths meet: what is seen, reflected, what casts shadows or light into the picture"),
+    ("frustum", "Camera view", "Keep what is in the camera's view; loses what only mirrors or shadows show"),
+    ("distance", "Distance", "Keep what is near the camera"),
+    ("solid-angle", "Solid angle", "Keep what looks large from the camera"),
+)
+CURRENT, RANGE = "CURRENT", "RANGE"
+
+
+def _lock_interface(settings: LipacSettings, _context: bpy.types.Context) -> None:
+    """Renders that change visibility need a locked interface; the scene's own setting comes back with the switch."""
+    render = settings.id_data.render
+    if settings.use_for_renders:
+        settings.lock_was_on = render.use_lock_interface
+        render.use_lock_interface = True
+    elif not settings.lock_was_on:
+        render.use_lock_interface = False
+
+
+def _redraw(settings: LipacSettings, _context: bpy.types.Context) -> None:
+    redraw()
+
+
+def _freeze(settings: LipacSettings, _context: bpy.types.Context) -> None:
+    from . import overlay
+
+    overlay.freeze(settings.id_data, settings.freeze)
+    redraw()
+
+
+def redraw() -> None:
+    """Have all 3D viewports drawn again."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+class LipacSettings(bpy.types.PropertyGroup):
+    """Settings of a scene."""
+
+    policy: EnumProperty(name="Keep", description="What decides which instances stay in the render", items=POLICIES)  # type: ignore[valid-type]
+    max_error: FloatProperty(  # type: ignore[valid-type]
+        name="Error budget", description="How much the picture may change on average. Less keeps more", subtype="PERCENTAGE", default=1.0, min=0.0, max=100.0
+    )
+    worst_error: FloatProperty(  # type: ignore[valid-type]
+        name="Worst tile",
+        description="How much any one tile of the picture (a 16th of its width) may change",
+        subtype="PERCENTAGE",
+        default=5.0,
+        min=0.0,
+        max=100.0,
+    )
+    margin: FloatProperty(  # type: ignore[valid-type]
+        name="Margin", description="Widen the camera's view by this share on each side", default=0.1, min=0.0, soft_max=1.0
+    )
+    distance: FloatProperty(name="Distance", description="Keep what is nearer to the camera than this", subtype="DISTANCE", default=50.0, min=0.0)  # type: ignore[valid-type]
+    solid_angle: FloatProperty(  # type: ignore[valid-type]
+        name="Angle", description="Keep what spans at least this angle, in degrees, at the camera", default=1.0, min=0.0, max=180.0
+    )
+    frames: EnumProperty(  # type: ignore[valid-type]
+        name="Frames",
+        description="Which frames to analyse; a render is culled only at frames that were",
+        items=(
+            (CURRENT, "Current frame", "Analyse the current frame"),
+            (RANGE, "Frame range", "Analyse each frame of the scene's range, with its step"),
+        ),
+    )
+    paths: IntProperty(  # type: ignore[valid-type]
+        name="Paths", description="Light paths per pixel of the analysis picture. More find smaller things, and take longer", default=4, min=1, soft_max=64
+    )
+    width: IntProperty(  # type: ignore[valid-type]
+        name="Width", description="Width of the analysis picture in pixels", default=240, min=16, soft_max=1920, subtype="PIXEL"
+    )
+    seed: IntProperty(name="Seed", description="Seed of the analysis' random numbers; the same seed decides the same", default=0, min=0)  # type: ignore[valid-type]
+    threads: IntProperty(name="Threads", description="Threads of the analysis; 0 takes all cores", default=0, min=0, max=1024)  # type: ignore[valid-type]
+    use_for_renders: BoolProperty(  # type: ignore[valid-type]
+        name="Use for renders",
+        description="Cull during renders and animations, and put everything back afterwards. Locks the interface while rendering",
+        update=_lock_interface,
+    )
+    show_overlay: BoolProperty(name="Overlay", description="Draw the analysed instances as boxes in the viewport", update=_redraw)  # type: ignore[valid-type]
+    show_active: BoolProperty(name="Active", description="Boxes of instances that stay", default=True, update=_redraw)  # type: ignore[valid-type]
+    show_culled: BoolProperty(name="Culled", description="Boxes of instances that go, one by one", update=_redraw)  # type: ignore[valid-type]
+    show_regions: BoolProperty(name="Regions", description="Boxes that stand in for what is culled", default=True, update=_redraw)  # type: ignore[valid-type]
+    opacity: FloatProperty(name="Opacity", description="Opacity of the boxes", subtype="FACTOR", default=0.6, min=0.0, max=1.0, update=_redraw)  # type: ignore[valid-type]
+    freeze: BoolProperty(  # type: ignore[valid-type]
+        name="Freeze", description="Keep showing these boxes while you fly around, change frames and analyse again", update=_freeze
+    )
+    applied: BoolProperty(name="Applied", description="Culled instances are hidden from renders of this file", options={"HIDDEN"})  # type: ignore[valid-type]
+    in_render: BoolProperty(name="In a render", description="Culled instances are hidden until the running render ends", options={"HIDDEN"})  # type: ignore[valid-type]
+    lock_was_on: BoolProperty(name="Interface lock", description="Whether the interface was locked before", options={"HIDDEN"})  # type: ignore[valid-type]
+
+
+class LipacRole(bpy.types.PropertyGroup):
+    """What LiPaC may do with an object, or with all objects in a collection."""
+
+    role: EnumProperty(  # type: ignore[valid-type]
+        name="Culling", description="Whether the analysis may cull this", items=ROLES, override={"LIBRARY_OVERRIDABLE"}
+    )
+
+
+_CLASSES = (LipacSettings, LipacRole)
+_POINTERS: tuple[tuple[Any, Any], ...] = ((bpy.types.Scene, LipacSettings), (bpy.types.Object, LipacRole), (bpy.types.Collection, LipacRole))
+
+
+def cull_options(settings: LipacSettings) -> CullOptions:
+    """The options of the analysis that the settings ask for; loads the engine."""
+    from ...core.budget import Budget
+    from ...core.culling import CullOptions
+
+    return CullOptions(
+        policy=settings.policy,
+        margin=settings.margin,
+        distance=settings.distance,
+        solid_angle=settings.solid_angle,
+        max_error=Budget(settings.max_error / 100, settings.worst_error / 100),
+        paths=settings.paths,
+        width=settings.width,
+        seed=settings.seed,
+        threads=settings.threads,
+    )
+
+
+def marked(role: str) -> set[bpy.types.Object]:
+    """Objects of the file with a role of their own, or in a collection (at any depth) with it."""
+    found = {ob for ob in bpy.data.objects if ob.lipac.role == role}
+    for collection in (*bpy.data.collections, *(scene.collection for scene in bpy.data.scenes)):
+        if collection.lipac.role == role:
+            found.update(collection.all_objects)
+    return found
+
+
+def register() -> None:
+    """Register the groups and put them on scenes, objects and collections."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    for owner, group in _POINTERS:
+        options = {} if owner is bpy.types.Scene else {"override": {"LIBRARY_OVERRIDABLE"}}
+        owner.lipac = PointerProperty(type=group, name="LiPaC", description="Light path guided culling", **options)
+
+
+def unregister() -> None:
+    """Take the groups away again."""
+    for owner, _ in _POINTERS:
+        del owner.lipac
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)
