@@ -10,16 +10,16 @@ _set_here: list[str] = []
 def register() -> None:
     """Register classes with Blender. Neither numba nor Embree is loaded before the first analysis."""
     _use_own_cache()
-    from . import ui
+    from .ui import registration
 
-    ui.register()
+    registration.register()
 
 
 def unregister() -> None:
     """Take back what `register` did."""
-    from . import ui
+    from .ui import registration
 
-    ui.unregister()
+    registration.unregister()
     for name in _set_here:
         os.environ.pop(name, None)
     _set_here.clear()

@@ -1,7 +1,7 @@
 """An analysis beside Blender: it reads the file on the main thread, a little at a time, and computes in a worker.
 
-Blender's Python may be used on the main thread alone, while the analysis loads meshes when light paths ask for them. So the worker gets `AskedMeshes`, which hand
-each request to the main thread and wait, and the job's `step` serves the requests. A modal operator steps it by a timer, scripts and tests in a loop.
+Blender's Python may be used on the main thread alone, while the analysis loads meshes when light paths ask for them. So the worker gets `AskedMeshes`, which
+hand each request to the main thread and wait, and the job's `step` serves them. A modal operator steps it by a timer, scripts and tests in a loop.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from . import applying, job, props, results, wheels
 INTERVAL = 0.05  # seconds between steps of an analysis
 
 
-class LIPAC_OT_analyze(bpy.types.Operator):  # noqa: N801
+class LIPAC_OT_analyze(bpy.types.Operator):
     """Find out which instances the picture needs, by tracing light paths. Nothing is hidden yet. Esc cancels"""
 
     bl_idname = "lipac.analyze"
@@ -77,7 +77,7 @@ class LIPAC_OT_analyze(bpy.types.Operator):  # noqa: N801
         return {"FINISHED"}
 
 
-class LIPAC_OT_apply(bpy.types.Operator):  # noqa: N801
+class LIPAC_OT_apply(bpy.types.Operator):
     """Hide culled instances from renders of this file, until Restore. The viewport does not change"""
 
     bl_idname = "lipac.apply"
@@ -107,7 +107,7 @@ class LIPAC_OT_apply(bpy.types.Operator):  # noqa: N801
         return {"FINISHED"}
 
 
-class LIPAC_OT_restore(bpy.types.Operator):  # noqa: N801
+class LIPAC_OT_restore(bpy.types.Operator):
     """Show everything in renders again, as you had set it; also what a crash or another scene left hidden"""
 
     bl_idname = "lipac.restore"
@@ -129,7 +129,7 @@ class LIPAC_OT_restore(bpy.types.Operator):  # noqa: N801
         return {"FINISHED"}
 
 
-class LIPAC_OT_mark(bpy.types.Operator):  # noqa: N801
+class LIPAC_OT_mark(bpy.types.Operator):
     """Set what LiPaC may do with all selected objects"""
 
     bl_idname = "lipac.mark"

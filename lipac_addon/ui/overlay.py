@@ -84,6 +84,11 @@ def _upload(result: FrameResult) -> _Drawn:
     return _drawn
 
 
+def _to_linear(value: float) -> float:
+    """sRGB to linear, 0 to 1 (IEC 61966-2-1)."""
+    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
+
+
 def shown(settings: Any) -> tuple[str, ...]:
     """Kinds of boxes that the settings ask for."""
     return tuple(kind for kind in KINDS if getattr(settings, f"show_{kind}"))
@@ -111,8 +116,11 @@ def forget() -> None:
     _frozen.clear()
 
 
-def draw_boxes(result: FrameResult, kinds: tuple[str, ...], opacity: float, view_projection: Any) -> int:
-    """Draw boxes into the active framebuffer; returns the number of draw calls. view_projection: (4, 4), of the world."""
+def draw_boxes(result: FrameResult, kinds: tuple[str, ...], opacity: float, view_projection: Any, encodes: bool = False) -> int:
+    """Draw boxes into the active framebuffer; returns the number of draw calls.
+
+    view_projection: (4, 4), of the world. encodes: the framebuffer turns linear colours into sRGB, as a viewport's does.
+    """
     drawn = _upload(result)
     matrix = np.array(view_projection, np.float64)
     matrix[:, 3] += matrix[:, :3] @ drawn.boxes.origin  # in double precision: far from the world's origin single is not enough
@@ -128,7 +136,8 @@ def draw_boxes(result: FrameResult, kinds: tuple[str, ...], opacity: float, view
         for kind, (first, count) in zip(KINDS, drawn.boxes.ranges, strict=True):
             if kind in kinds and count:
                 _shader.uniform_int("first", first)
-                _shader.uniform_float("color", (*COLORS[kind], opacity))
+                color = [_to_linear(x) for x in COLORS[kind]] if encodes else COLORS[kind]
+                _shader.uniform_float("color", (*color, opacity))
                 _batch.draw_instanced(_shader, instance_count=count)
                 calls += 1
     finally:
@@ -169,7 +178,7 @@ def _draw_view() -> None:
     context = bpy.context
     result = source(context.scene)
     if context.scene.lipac.show_overlay and result is not None:
-        draw_boxes(result, shown(context.scene.lipac), context.scene.lipac.opacity, context.region_data.perspective_matrix)
+        draw_boxes(result, shown(context.scene.lipac), context.scene.lipac.opacity, context.region_data.perspective_matrix, encodes=True)
 
 
 def _draw_pixels() -> None:

@@ -81,7 +81,7 @@ class _Child(_Sidebar):
         return not wheels.missing()
 
 
-class LIPAC_PT_main(_Sidebar, bpy.types.Panel):  # noqa: N801
+class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
     """Analyze, apply, restore, and what came of it."""
 
     bl_label = "LiPaC"
@@ -123,7 +123,7 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):  # noqa: N801
         layout.prop(settings, "use_for_renders")
 
 
-class LIPAC_PT_results(_Child, bpy.types.Panel):  # noqa: N801
+class LIPAC_PT_results(_Child, bpy.types.Panel):
     """Figures of the current frame."""
 
     bl_label = "Results"
@@ -143,7 +143,7 @@ class LIPAC_PT_results(_Child, bpy.types.Panel):  # noqa: N801
                 column.label(text=line, icon="INFO" if k == 0 else "BLANK1")
 
 
-class LIPAC_PT_object(_Child, bpy.types.Panel):  # noqa: N801
+class LIPAC_PT_object(_Child, bpy.types.Panel):
     """Why the active object stays or goes; Pin and Ignore."""
 
     bl_label = "Object and Collection"
@@ -164,7 +164,7 @@ class LIPAC_PT_object(_Child, bpy.types.Panel):  # noqa: N801
             row.operator(LIPAC_OT_mark.bl_idname, text=label).role = name
 
 
-class LIPAC_PT_overlay(_Child, bpy.types.Panel):  # noqa: N801
+class LIPAC_PT_overlay(_Child, bpy.types.Panel):
     """What the viewport shows of the result."""
 
     bl_label = "Overlay"
@@ -182,7 +182,7 @@ class LIPAC_PT_overlay(_Child, bpy.types.Panel):  # noqa: N801
         layout.prop(settings, "freeze")
 
 
-class LIPAC_PT_advanced(_Child, bpy.types.Panel):  # noqa: N801
+class LIPAC_PT_advanced(_Child, bpy.types.Panel):
     """Settings that rarely need a change."""
 
     bl_label = "Advanced"

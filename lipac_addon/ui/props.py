@@ -40,9 +40,9 @@ def _redraw(settings: LipacSettings, _context: bpy.types.Context) -> None:
 
 
 def _freeze(settings: LipacSettings, _context: bpy.types.Context) -> None:
-    from . import overlay
+    from .overlay import freeze
 
-    overlay.freeze(settings.id_data, settings.freeze)
+    freeze(settings.id_data, settings.freeze)
     redraw()
 
 

@@ -13,9 +13,9 @@ from ..keys import Keys
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from ..extract import Extraction
     from ...core.loop import CullingResult
     from ...core.scene import F32, F64, I64
+    from ..extract import Extraction
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
 
