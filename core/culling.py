@@ -35,7 +35,8 @@ class CullOptions:
     solid_angle: degrees that an instance's bounding sphere must span; for `solid-angle`.
     max_error: `light-paths`: how much the picture may change. min_share: `light-paths` by plain counts instead: an instance stays if at least this share of the
     paths meets it. paths: per pixel, for the measurement of both.
-    width: of the analysis picture in pixels (its height follows the film). nearest: boxes of a ray that are counted at a cold start.
+    width: of the analysis picture in pixels (its height follows the film). nearest: boxes of a ray that are counted at a cold start;
+    hitbox_every: on one path in so many.
     """
 
     policy: str = "light-paths"
@@ -47,6 +48,7 @@ class CullOptions:
     paths: int = 4
     width: int = 240
     nearest: int = 4
+    hitbox_every: int = 1
     max_iterations: int = 64
     seed: int = 0
     threads: int = 0

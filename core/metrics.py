@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -42,11 +45,59 @@ def relative_mse(reference: ArrayLike, test: ArrayLike) -> float:
 def tile_rmse(reference: ArrayLike, test: ArrayLike, tile: int = TILE) -> F64:
     """Root mean square difference of linear pictures within each tile of `tile` x `tile` pixels (smaller at the far edges): (rows, columns) float64."""
     a, b = _pair(reference, test, np.float64)
-    square = ((b - a) ** 2).mean(axis=2)
-    rows, columns = (np.arange(0, n, tile) for n in square.shape)
-    total = np.add.reduceat(np.add.reduceat(square, rows, axis=0), columns, axis=1)
-    heights, widths = (np.diff(np.append(s, n)) for s, n in zip((rows, columns), square.shape, strict=True))
-    return np.sqrt(total / np.outer(heights, widths))
+    return np.sqrt(tile_mean(((b - a) ** 2).mean(axis=2), tile))
+
+
+def flip_hdr(reference: ArrayLike, test: ArrayLike) -> tuple[F32, float]:
+    """HDR-FLIP of linear pictures: FLIP at every exposure at which they could be shown, the largest per pixel. Returns as `flip` does.
+
+    (Andersson et al., "Visualizing Errors in Rendered High Dynamic Range Images", Eurographics 2021.) Raises InputError where sizes differ.
+    """
+    import flip_evaluator
+
+    a, b = (np.maximum(x, 0.0) for x in _pair(reference, test, np.float32))
+    if not a.any():  # HDR-FLIP finds its exposures in the reference
+        a, b = b, a
+    if not a.any() or np.array_equal(a, b):
+        return np.zeros(a.shape[:2], np.float32), 0.0
+    difference, mean, _ = flip_evaluator.evaluate(a, b, "HDR", applyMagma=False)
+    return np.asarray(difference, np.float32).reshape(a.shape[:2]), float(mean)
+
+
+def tile_mean(values: ArrayLike, tile: int = TILE) -> F64:
+    """Mean of a map (H, W) within each tile of `tile` x `tile` pixels (smaller at the far edges): (rows, columns) float64."""
+    v = np.asarray(values, np.float64)
+    rows, columns = (np.arange(0, n, tile) for n in v.shape)
+    total = np.add.reduceat(np.add.reduceat(v, rows, axis=0), columns, axis=1)
+    heights, widths = (np.diff(np.append(s, n)) for s, n in zip((rows, columns), v.shape, strict=True))
+    return total / np.outer(heights, widths)
+
+
+def linear_error(reference: ArrayLike, test: ArrayLike) -> dict[str, float]:
+    """HDR-FLIP, relMSE and RMSE of linear pictures, each as mean over the picture and as 99th percentile over tiles (`_p99`): a lost shadow is local."""
+    a, b = _pair(reference, test, np.float64)
+    square = (b - a) ** 2
+    flip_map, flip_mean = flip_hdr(a, b)
+    relative, rmse = (square / (a * a + _EPSILON)).mean(axis=2), tile_rmse(a, b)
+    return {
+        "flip": flip_mean,
+        "flip_p99": float(np.percentile(tile_mean(flip_map), 99)),
+        "relmse": float(relative.mean()),
+        "relmse_p99": float(np.percentile(tile_mean(relative), 99)),
+        "rmse": float(rmse.mean()),
+        "rmse_p99": float(np.percentile(rmse, 99)),
+    }
+
+
+def flicker(reference: Sequence[ArrayLike], test: Sequence[ArrayLike]) -> float:
+    """How much a sequence of linear pictures flickers beyond its reference: mean over pixels and pairs of successive frames of the change of the difference,
+    relative to the reference's mean. A constant difference does not flicker."""
+    pairs = [_pair(a, b, np.float64) for a, b in zip(reference, test, strict=True)]
+    if len(pairs) < 2:
+        return 0.0
+    difference = [b - a for a, b in pairs]
+    steps = np.mean([np.abs(y - x).mean() for x, y in itertools.pairwise(difference)])
+    return float(steps / max(np.mean([a.mean() for a, _ in pairs]), 1e-30))
 
 
 def error(reference: ArrayLike, test: ArrayLike, reference_shown: ArrayLike, test_shown: ArrayLike) -> dict[str, float]:

@@ -15,6 +15,7 @@ COMMANDS = {
     "demo": ("demo", "write a procedural demo scene to a .blend file"),
     "analyze": ("analyze", "decide which instances light paths need; no picture"),
     "render": ("render", "cull and render by Cycles, EEVEE or the path tracer"),
+    "evaluate": ("evaluate", "measure speed against error for every culling policy"),
     "bench": ("bench", "measure speed against peers"),
 }
 

@@ -1,0 +1,160 @@
+"""`lipac evaluate SCENE -o DIR`: speed against error for every culling policy. Also `--all`: every scene, as docs/results.md has them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import InputError
+from ..core.progress import Progress, part
+
+SIZE = (320, 180)
+SUPPLIED = Path(__file__).parents[2] / "shared" / "scenes"
+SCENES = ("rooms1024.blend", "candela_city.blend", "kitchen.blend", "indoor.blend")
+DEMOS = {"mirror-city": 20_000}
+PIECES = "build"  # folder of finished pieces, which need not be kept
+
+
+def main(argv: Sequence[str]) -> int:
+    """Evaluate what the command line says; returns the exit status."""
+    from ..core.report import output_folder
+    from .options import Parser, count, resolution
+
+    parser = Parser(prog="lipac evaluate", description="Measure cost and error of every culling policy. What is already measured in DIR is kept.")
+    parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help="a scene file, as for lipac render")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for tables, plots, pictures and report.md")
+    parser.add_argument("--all", action="store_true", help="all supplied scenes and demos, each in a folder of DIR, and DIR/../results.md")
+    parser.add_argument("--scenes", type=Path, default=SUPPLIED, metavar="DIR", help="with --all: where the supplied scenes are")
+    parser.add_argument("--camera", metavar="NAME", help="camera to use (default: the scene's)")
+    parser.add_argument("--resolution", type=resolution, default=SIZE, metavar="WxH", help="size of the pictures (default: 320x180)")
+    parser.add_argument("--samples", type=count, default=16, metavar="N", help="paths per pixel of the judge (default: %(default)s)")
+    parser.add_argument("--cycles", action="store_true", help="also render full and culled by Cycles: seconds and peak memory")
+    parser.add_argument("--budget-check", type=count, metavar="SEEDS", help="also: does the error stay in the budget, over so many seeds")
+    parser.add_argument("--ray-budget", action="store_true", help="also: how many paths the states need")
+    parser.add_argument("--threads", type=int, default=0, metavar="N", help="0: all cores (default)")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    args = parser.parse_args(argv)
+    folder = output_folder(args.output)
+    if args.all:
+        return everything(args, folder)
+    if args.scene is None:
+        raise InputError("SCENE is missing: name a scene file, or use --all")
+    if not args.scene.exists():
+        raise InputError(f"no such file: {args.scene}")
+    from .options import ctrl_c, progress_of
+
+    with progress_of(args.quiet) as progress, ctrl_c() as cancelled:
+        summary = evaluate(args, folder, progress, cancelled)
+    print((folder / "report.md").read_text() if not args.quiet else json.dumps(summary["equal_error"]))
+    return 0
+
+
+def extracted(args: argparse.Namespace) -> Any:
+    """The core scene of the file, at the size of the evaluation."""
+    from ..lipac_addon.console import muted
+
+    with muted():
+        import bpy
+
+        from ..lipac_addon.extract import extract_frame
+        from ..lipac_addon.open import open_scene, use_camera
+
+        open_scene(args.scene)
+        scene = bpy.context.scene
+        scene.render.resolution_x, scene.render.resolution_y = args.resolution
+        scene.render.resolution_percentage = 100
+        if args.camera:
+            use_camera(scene, args.camera)
+        return extract_frame(scene, scene.frame_current).scene
+
+
+def evaluate(args: argparse.Namespace, folder: Path, progress: Progress, cancelled: Callable[[], bool]) -> dict[str, Any]:
+    """Everything for one scene; returns what evaluation.json holds."""
+    from ..core import evaluate as core
+    from . import evaluate_report as report
+
+    progress(0.0, "opening the scene")
+    scene = extracted(args)
+    settings = core.Settings(samples=args.samples, threads=args.threads)
+    evaluation = core.Evaluation(scene, settings, folder / PIECES, part(progress, 0.0, 0.05), cancelled)
+    evaluation.run(part(progress, 0.05, 0.9))
+    summary: dict[str, Any] = {
+        "scene": args.scene.name,
+        "size": list(args.resolution),
+        "samples": evaluation.judge.samples,
+        "instances": len(scene.instances),
+        "noise_floor": evaluation.judge.noise_floor(),
+        "equal_error": core.at_equal_error(evaluation.rows),
+        "rows": evaluation.rows,
+    }
+    if args.budget_check:
+        summary["budget_check"] = core.budget_check(evaluation, args.budget_check, part(progress, 0.9, 0.97, "budget check, "))
+    if args.ray_budget:
+        summary["ray_budget"] = core.ray_budget(evaluation, part(progress, 0.97, 0.99, "ray budget, "))
+    if args.cycles:
+        summary["cycles"] = cycles(args, folder)
+    report.write(folder, summary, evaluation)
+    return summary
+
+
+def cycles(args: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """Seconds and peak memory of Cycles, full and culled, each in a process of its own."""
+    from . import compare
+
+    options = ("--resolution", f"{args.resolution[0]}x{args.resolution[1]}", "--samples", "16")
+    out = {}
+    for name in (compare.FULL, compare.CULLED):
+        result = compare.render(args.scene, folder / PIECES / "cycles", name, options)
+        frame = result["frames"][0]
+        out[name] = {"render_s": frame["render_s"], "process_s": result["process_s"], "peak_bytes": result["totals"]["peak_bytes"], "active": frame["active"]}
+    return out
+
+
+def everything(args: argparse.Namespace, folder: Path) -> int:
+    """Each scene in a process of its own, then the table over all; returns the worst exit status."""
+    import subprocess
+
+    from . import evaluate_report as report
+
+    worst = 0
+    own = [a for a in ("--cycles", "--ray-budget", "--quiet") if getattr(args, a[2:].replace("-", "_"))]
+    own += ["--resolution", f"{args.resolution[0]}x{args.resolution[1]}", "--samples", str(args.samples), "--threads", str(args.threads)]
+    own += ["--budget-check", str(args.budget_check)] if args.budget_check else []
+    for name, scene in scenes(args.scenes, folder):
+        print(f"{name}", file=sys.stderr, flush=True)
+        command = [sys.executable, "-m", "lipac.scripts.lipac", "evaluate", str(scene), "-o", str(folder / name), *own]
+        status = subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode
+        if status == 130:
+            return status
+        worst = max(worst, status)
+    text = report.results(folder)
+    (folder.parent / "results.md").write_text(text)
+    print(text)
+    return worst
+
+
+def scenes(supplied: Path, folder: Path) -> list[tuple[str, Path]]:
+    """Names and files of the supplied scenes that are there, and of the demos, which are built where they are missing."""
+    from . import compare
+
+    out = [(Path(name).stem, supplied / name) for name in SCENES if (supplied / name).exists()]
+    if len(out) < len(SCENES):
+        print(f"some of {', '.join(SCENES)} are not in {supplied} and are left out; --scenes says where they are", file=sys.stderr)
+    for name, instances in DEMOS.items():
+        path = folder / name / PIECES / f"{name}.blend"
+        if not path.exists():
+            os.makedirs(path.parent, exist_ok=True)
+            compare.lipac("demo", name, "-o", path, "--instances", str(instances), "--quiet")
+        out.append((name, path))
+    return out
+
+
+if __name__ == "__main__":
+    import runpy
+
+    sys.exit(runpy.run_path(str(Path(__file__).with_name("by_path.py")))["run"]("evaluate"))
