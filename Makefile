@@ -1,16 +1,22 @@
 # make install   .venv with the `lipac` command
 # make demo      build the demo scene, cull it, render it full and culled: out/demo
+# make results   docs/results.md: cost against error of every policy on every scene (an hour)
 # make test      ruff, mypy, every test
+# make extension one zip per platform, to install in Blender: dist
 # PYTHON=/path/to/python picks the interpreter (default: a Python 3.13, else 3.11), VENV=folder the environment.
 
 VENV ?= .venv
 BIN := $(VENV)/bin
-.PHONY: install demo test smoke check clean
+.PHONY: install demo results test smoke check clean
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
 demo: install
 	$(BIN)/python -m lipac.scripts.make_demo -o out/demo
+results: install
+	$(BIN)/lipac evaluate --all -o docs/results --budget-check 5 --ray-budget
+extension: install
+	$(BIN)/python -m lipac.scripts.make_extension
 test: check
 	$(BIN)/python -m pytest
 smoke: $(VENV)/.installed-test

@@ -1,0 +1,99 @@
+"""The extension's zip: built, checked, installed into a fresh Blender that has none of its libraries, and used there."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy
+import pytest
+
+from lipac.scripts import make_extension
+
+OURS = ("numba", "llvmlite", "embreex", "lipac", "__editable__")
+PYTHON = f"{sys.version_info[0]}{sys.version_info[1]}"
+
+USE = """
+import importlib.util, os, sys, bpy
+resources, path = sys.argv[1:]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+print(bpy.ops.extensions.package_install_files(filepath=path, repo="user_default", enable_on_install=False))
+print(bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lipac"))
+assert "numba" not in sys.modules, "loaded at registration"
+scene = bpy.context.scene
+bpy.ops.mesh.primitive_cube_add()
+near = bpy.context.object
+bpy.ops.mesh.primitive_cube_add(location=(0, 500, 0))
+far = bpy.context.object
+bpy.ops.object.camera_add(location=(0, -10, 0), rotation=(1.57, 0, 0))
+scene.camera = bpy.context.object
+scene.lipac.policy, scene.lipac.distance = "distance", 50.0
+assert bpy.ops.lipac.analyze() == {"FINISHED"}
+for name in ("numba", "embreex"):
+    origin = importlib.util.find_spec(name).origin
+    assert origin.startswith(resources), origin
+assert bpy.ops.lipac.apply() == {"FINISHED"}
+assert (near.hide_render, far.hide_render) == (False, True)
+assert bpy.ops.lipac.restore() == {"FINISHED"}
+assert (near.hide_render, far.hide_render) == (False, False)
+kernels = [name for _, _, names in os.walk(resources) for name in names if name.endswith(".nbi")]
+assert kernels, "no compiled kernel in the extension's user folder"
+print(bpy.ops.preferences.addon_disable(module="bl_ext.user_default.lipac"))
+assert not hasattr(bpy.types.Scene, "lipac")
+print("USED")
+"""
+
+
+@pytest.fixture(scope="module")
+def extension(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The zip for Linux and this Python."""
+    if sys.platform != "linux":
+        pytest.skip("installs the zip for Linux")
+    out = tmp_path_factory.mktemp("dist")
+    try:
+        make_extension.download("linux-x64", [PYTHON], out / "wheels")
+    except subprocess.CalledProcessError:
+        pytest.skip("wheels cannot be downloaded here")
+    assert make_extension.main(["-o", str(out), "--platform", "linux-x64", "--python", PYTHON]) == 0
+    return next(out.glob("*.zip"))
+
+
+def bare_site(folder: Path) -> Path:
+    """A folder with everything that is installed here, but for our own package and the libraries that the extension brings."""
+    folder.mkdir()
+    for path in Path(numpy.__file__).parents[1].iterdir():
+        if not path.name.startswith(OURS) and not path.name.endswith(".pth"):
+            (folder / path.name).symlink_to(path)
+    return folder
+
+
+def test_a_fresh_blender_installs_and_uses_the_zip(extension: Path, tmp_path: Path) -> None:
+    resources = tmp_path / "resources"
+    resources.mkdir()
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("LIPAC", "NUMBA"))}
+    environment |= {"BLENDER_USER_RESOURCES": str(resources), "PYTHONPATH": str(bare_site(tmp_path / "site"))}
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", USE, str(resources), str(extension)], env=environment, capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert "USED" in done.stdout, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("lost", ["numba-", "core/loop.py"])
+def test_a_zip_that_lacks_something_is_refused(extension: Path, tmp_path: Path, lost: str) -> None:
+    broken = tmp_path / extension.name
+    with zipfile.ZipFile(extension) as source, zipfile.ZipFile(broken, "w") as target:
+        for name in source.namelist():
+            if lost not in name:
+                target.writestr(name, b"" if name.endswith(".whl") else source.read(name))
+    with pytest.raises(SystemExit, match=lost.rstrip("-")):
+        make_extension.check(broken, "linux-x64", [PYTHON])
+
+
+def test_every_platform_has_a_manifest_that_names_its_wheels() -> None:
+    for platform in make_extension.PLATFORMS:
+        text = make_extension.manifest(platform, ["a.whl"])
+        assert f'platforms = ["{platform}"]' in text
+        assert '"./wheels/a.whl"' in text
