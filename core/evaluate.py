@@ -15,7 +15,7 @@ from .budget import Budget
 from .culling import CullOptions, keep_distance, keep_frustum, keep_solid_angle
 from .judge import Judge
 from .loop import analyze
-from .oracle import search
+from .oracle import retained, search
 from .progress import Progress, part, silent
 from .report import replacing
 from .scene import F32, Scene
@@ -202,7 +202,8 @@ class Evaluation:
                 return {}, {"keep": search(self.judge, weights["worth"], weights["ids"], budget, proposals, part(progress, low, high))}
 
             _, arrays = self.store.get(f"oracle {budget}", compute)
-            self.measure(ORACLE, budget.mean, arrays["keep"])
+            known = [keep for row, keep in zip(self.rows, self.keeps, strict=True) if holds(row, budget)]
+            self.measure(ORACLE, budget.mean, min([*known, arrays["keep"]], key=lambda keep: retained(self.judge, keep)))
 
 
 def budgets() -> Iterator[Budget]:

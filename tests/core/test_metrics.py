@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lipac.core.errors import InputError
-from lipac.core.metrics import error, flip, relative_mse, tile_rmse
+from lipac.core.metrics import error, flicker, flip, flip_hdr, linear_error, relative_mse, tile_rmse
 
 RNG = np.random.default_rng(5)
 PICTURE = RNG.uniform(0.2, 0.8, (40, 56, 3)).astype(np.float32)
@@ -45,3 +45,37 @@ def test_alpha_is_ignored_and_sizes_must_agree() -> None:
     assert relative_mse(PICTURE, rgba) == 0.0
     with pytest.raises(InputError, match="resolution"):
         relative_mse(PICTURE, PICTURE[:-1])
+
+
+def test_hdr_flip_sees_what_a_display_clips() -> None:
+    bright = PICTURE * 50
+    brighter = bright.copy()
+    brighter[8:16, 40:50] *= 4
+    assert flip(bright, brighter)[1] == 0.0
+    difference, mean = flip_hdr(bright, brighter)
+    assert mean > 0.0
+    assert difference[8:16, 40:50].mean() > 10 * difference[:, :30].mean()
+
+
+def test_hdr_flip_of_black_pictures() -> None:
+    black = np.zeros((16, 16, 3))
+    assert flip_hdr(black, black)[1] == 0.0
+    assert flip_hdr(black, black + 0.5)[1] > 0.0
+
+
+def test_a_local_error_shows_in_the_percentile_over_tiles() -> None:
+    spot = PICTURE.copy()
+    spot[:16, :16] += 0.5
+    measured = linear_error(PICTURE, spot)
+    assert measured["rmse_p99"] > 5 * measured["rmse"]
+    assert measured["relmse_p99"] > 5 * measured["relmse"]
+    assert measured["flip_p99"] > 5 * measured["flip"]
+    assert set(linear_error(PICTURE, PICTURE).values()) == {0.0}
+
+
+def test_flicker_is_of_the_difference_that_changes() -> None:
+    """A third picture off by 0.1 of a mean of 0.5: two of three steps change by that."""
+    frames = [np.full((4, 4, 3), 0.5)] * 4
+    assert flicker(frames, [f + 0.2 for f in frames]) == pytest.approx(0.0, abs=1e-12)
+    assert flicker(frames, [frames[0], frames[1], frames[2] + 0.1, frames[3]]) == pytest.approx(0.1 * 2 / 3 / 0.5)
+    assert flicker(frames[:1], frames[:1]) == 0.0

@@ -1,0 +1,112 @@
+"""The judge separates bias from noise, the oracle keeps its budget and no more than others, an evaluation goes on where it was stopped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lipac.core import scene as s
+from lipac.core.budget import Budget
+from lipac.core.culling import CullOptions
+from lipac.core.evaluate import BUDGETS, HEURISTICS, OURS, Evaluation, Settings, at_equal_error, holds, keep_of
+from lipac.core.judge import Judge, paired_change
+from lipac.core.oracle import retained, search
+
+from . import scenes
+
+FLOOR, SEEN, HIDDEN, FAR_AWAY = range(4)
+
+
+def stage() -> s.Scene:
+    """A floor, a cube on it, one under it, one so far that it covers a part of a pixel."""
+    placement = [
+        (1, scenes.placed((0, 0, 0), 40.0), 0),
+        (0, scenes.placed((0, 1, 0.5)), 0),
+        (0, scenes.placed((0, 1, -3)), 0),
+        (2, scenes.placed((3, 400, 60), 0.3), 0),
+    ]
+    return scenes.build([scenes.cube(), scenes.quad(), scenes.sphere()], placement, size=(64, 36), limits=s.PathLimits(total=1, diffuse=1))
+
+
+@pytest.fixture(scope="module")
+def judge() -> Judge:
+    return Judge(stage(), 16)
+
+
+def without(*culled: int) -> np.ndarray:
+    keep = np.ones(4, bool)
+    keep[list(culled)] = False
+    return keep
+
+
+def test_what_changes_nothing_measures_as_nothing_and_what_is_seen_as_much(judge: Judge) -> None:
+    assert judge.change(without(HIDDEN)).mean == 0.0
+    seen, all_but_sky = judge.change(without(SEEN)), judge.change(without(FLOOR, SEEN))
+    assert 0.001 < seen.mean < all_but_sky.mean
+    assert seen.worst > 0.05
+    assert seen.worst_ci < seen.worst
+
+
+def test_pairing_removes_noise(judge: Judge) -> None:
+    assert judge.noise_floor()["mean"] > 5 * judge.change(without(FAR_AWAY)).mean
+
+
+def test_confidence_interval_covers_a_known_change() -> None:
+    """A tenth less light in one half, with noise of its own in every batch: the interval holds the truth in about 95 % of 300 cases (3 standard deviations)."""
+    rng = np.random.default_rng(8)
+    covered = 0
+    for _ in range(300):
+        full = np.ones((4, 18, 32, 3), np.float32)
+        culled = full * np.where(np.arange(32) < 16, 0.9, 1.0)[:, None] + rng.normal(0, 0.05, full.shape)
+        change = paired_change(full, culled.astype(np.float32))
+        left = change.tiles.reshape(9, 16)[:, 0].mean()  # of nine tiles: a third of the interval of one
+        covered += abs(left + 0.1) <= change.worst_ci / 3
+    assert 0.8 < covered / 300
+
+
+def test_cost_counts_a_shared_mesh_once(judge: Judge) -> None:
+    both, one, none = (judge.cost(keep) for keep in (without(), without(HIDDEN), without(SEEN, HIDDEN)))
+    assert both["blas_bytes"] == one["blas_bytes"] > none["blas_bytes"]
+    assert (both["active"], one["active"]) == (4, 3)
+    assert (both["meshes"], none["meshes"]) == (3, 2)
+
+
+def test_oracle_keeps_the_budget_and_no_more_than_a_proposal(judge: Judge) -> None:
+    worth, ids = judge.exhaustive_weights(16)
+    proposal = without(HIDDEN)
+    for budget in (Budget(0.0, 0.0), Budget(0.005, 0.025), Budget(0.5, 1.0)):
+        keep = search(judge, worth, ids, budget, [proposal])
+        assert judge.change(keep).holds(budget)
+        assert retained(judge, keep) <= retained(judge, proposal)
+    assert not keep[HIDDEN]
+
+
+def test_heuristics_keep_more_and_more() -> None:
+    scene = stage()
+    for policy in HEURISTICS:
+        keep, settings = keep_of(scene, policy)
+        sets = [keep(x) for x in settings]
+        assert all((~a | b).all() for a, b in zip(sets, sets[1:], strict=False))
+        assert sets[-1].sum() >= 3
+
+
+def test_an_evaluation_is_complete_and_goes_on_where_it_was(tmp_path: Path) -> None:
+    settings = Settings(samples=4, options=CullOptions(width=64, paths=2))
+    first = Evaluation(stage(), settings, tmp_path)
+    first.run()
+    assert {row["policy"] for row in first.rows} == {"none", *HEURISTICS, OURS, "light-paths counts", "random", "oracle"}
+    assert [e["error"] for e in at_equal_error(first.rows)] == list(BUDGETS)
+    for row in first.rows:
+        if row["policy"] == "oracle":
+            assert holds(row, Budget(row["setting"], 5 * row["setting"]))
+    again = Evaluation(stage(), settings, tmp_path)
+    rays = again.judge.loop.rays
+    again.run()
+    assert again.rows == first.rows
+    assert again.judge.loop.rays == rays  # nothing is traced a second time
+    other = Evaluation(stage(), Settings(samples=8, options=settings.options), tmp_path)
+    rays = other.judge.loop.rays
+    other.measure("none", 0.0, without())
+    assert other.judge.loop.rays > rays
