@@ -1,0 +1,167 @@
+"""The job beside Blender: stepped on the main thread, meshes loaded there and nowhere else, cancelled, failing, with the file changing under it."""
+
+import threading
+
+import bpy
+import numpy as np
+import pytest
+
+from lipac.core.errors import Cancelled, InputError
+from lipac.lipac_addon.ui import job, results
+from lipac.lipac_addon.ui.job import AnalysisJob, AskedMeshes
+
+
+def test_light_paths_keep_what_they_meet(scene):
+    scene.lipac.policy, scene.lipac.width = "light-paths", 64
+    done = AnalysisJob(scene)
+    said = set()
+    while done.step():
+        said.add(done.message)
+    assert (done.error, done.progress) == ("", 1.0)
+    assert len(said) > 2
+    result = results.at(scene)
+    for name, kept in (("box0", 1), ("wall", 1), ("box5", 0)):
+        reason = result.reason(bpy.data.objects[name])
+        assert (reason.instances, reason.kept) == (1, kept)
+        assert bool(reason.paths.any()) == bool(kept)
+    assert result.reason(scene.camera).instances == 0
+
+
+def test_meshes_are_loaded_on_the_main_thread():
+    class Meshes(list):
+        def __getitem__(self, index):
+            loaded.append(threading.current_thread())
+            return super().__getitem__(index)
+
+    loaded, got = [], []
+    meshes = AskedMeshes(Meshes(["a", "b"]))
+    worker = threading.Thread(target=lambda: got.extend([meshes[0], meshes[1]]))
+    worker.start()
+    while worker.is_alive():
+        meshes.serve(0.01)
+    assert got == ["a", "b"]
+    assert loaded == [threading.main_thread()] * 2
+    assert len(meshes) == 2
+
+
+def test_a_mesh_that_fails_fails_in_the_worker():
+    meshes, caught = AskedMeshes([]), []
+
+    def ask():
+        try:
+            meshes[3]
+        except IndexError as error:
+            caught.append(error)
+
+    worker = threading.Thread(target=ask)
+    worker.start()
+    while worker.is_alive():
+        meshes.serve(0.01)
+    assert caught
+    meshes.close()
+    with pytest.raises(Cancelled):
+        meshes[0]
+
+
+@pytest.mark.parametrize("steps", [0, 1, 3, 8])
+def test_cancel_keeps_the_earlier_result(analyzed, steps):
+    before = results.at(analyzed)
+    analyzed.lipac.policy, analyzed.lipac.width, analyzed.lipac.paths = "light-paths", 640, 64
+    running = AnalysisJob(analyzed)
+    for _ in range(steps):
+        assert running.step()
+    running.cancel()
+    running.run()
+    assert "cancelled" in running.error
+    assert results.at(analyzed) is before
+    assert not [t for t in threading.enumerate() if t.name == "LiPaC analysis"]
+
+
+def test_errors_of_input_are_one_line(scene):
+    bpy.data.objects.remove(scene.camera)
+    failed = AnalysisJob(scene)
+    failed.run()
+    assert "camera" in failed.error
+    assert results.of(scene) == {}
+
+
+def test_only_one_at_a_time(scene):
+    first = job.start(scene)
+    first.step()
+    with pytest.raises(InputError, match="running"):
+        job.start(scene)
+    job.stop()
+    assert not job.is_running()
+    job.start(scene).run()
+    assert results.at(scene) is not None
+
+
+def test_opening_a_file_ends_it(scene, boxes_file):
+    running = job.start(scene)
+    for _ in range(3):
+        running.step()
+    bpy.ops.wm.open_mainfile(filepath=str(boxes_file))
+    assert running.done
+    assert job.running is None
+
+
+def test_a_scene_removed_meanwhile(scene):
+    other = bpy.data.scenes.new("other")
+    running = AnalysisJob(scene)
+    running.step()
+    bpy.context.window.scene = other
+    bpy.data.scenes.remove(scene)
+    running.run()
+    assert "removed" in running.error
+
+
+def test_frames_of_a_range(scene):
+    scene.frame_start, scene.frame_end, scene.frame_step = 1, 5, 2
+    scene.lipac.frames = "RANGE"
+    near = bpy.data.objects["box0"]
+    for frame, y in ((1, 0.0), (3, 100.0), (5, 0.0)):
+        near.location.y = y
+        near.keyframe_insert("location", frame=frame)
+    scene.frame_set(2)
+    AnalysisJob(scene).run()
+    assert scene.frame_current == 2
+    assert sorted(results.of(scene)) == [1, 3, 5]
+    assert [results.of(scene)[f].reason(near).kept for f in (1, 3, 5)] == [1, 0, 1]
+    assert results.at(scene) is None
+
+
+def test_pin_of_an_object_and_of_a_collection(scene):
+    bpy.data.objects["box4"].lipac.role = "PIN"
+    outer, inner = bpy.data.collections.new("outer"), bpy.data.collections.new("inner")
+    scene.collection.children.link(outer)
+    outer.children.link(inner)
+    inner.objects.link(bpy.data.objects["box5"])
+    outer.lipac.role = "PIN"
+    AnalysisJob(scene).run()
+    result = results.at(scene)
+    kept = {name: result.reason(bpy.data.objects[name]).kept for name in ("box4", "box5", "box6")}
+    assert kept == {"box4": 1, "box5": 1, "box6": 0}
+
+
+def test_names_that_change_and_objects_that_go(analyzed):
+    result = results.at(analyzed)
+    bpy.data.objects["box4"].name = "renamed"
+    bpy.data.objects["box0"].name = "box4"  # one that stays takes the name of one that goes
+    bpy.data.objects.remove(bpy.data.objects["box7"])
+    names = result.current_keys().names
+    assert "" in names
+    assert bpy.ops.lipac.apply() == {"FINISHED"}
+    assert {ob.name for ob in bpy.data.objects if ob.hide_render} == {"renamed", "box5", "box6"}
+
+
+def test_two_scenes_have_results_of_their_own(analyzed):
+    other = bpy.data.scenes.new("other")
+    assert results.at(other) is None
+    other.collection.objects.link(bpy.data.objects["box0"])
+    other.collection.objects.link(bpy.data.objects["Camera"])
+    other.camera = bpy.data.objects["Camera"]
+    other.lipac.policy = "frustum"
+    AnalysisJob(other).run()
+    assert len(results.at(other).culled) == 1
+    assert len(results.at(analyzed).culled) == 10
+    np.testing.assert_array_equal(results.at(analyzed).culled.sum(), 4)

@@ -1,0 +1,174 @@
+"""Analyze, Apply, Restore and Mark, with undo, saving and loading."""
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from lipac.lipac_addon.ui import job, operators, results, wheels
+
+FAR = {"box4", "box5", "box6", "box7"}
+
+
+def test_apply_and_restore_are_exact(analyzed, hidden, snapshot):
+    before = snapshot()
+    assert bpy.ops.lipac.apply() == {"FINISHED"}
+    assert hidden() == FAR
+    assert analyzed.lipac.applied
+    assert bpy.ops.lipac.restore() == {"FINISHED"}
+    assert not analyzed.lipac.applied
+    assert snapshot() == before
+    assert bpy.ops.lipac.restore() == {"CANCELLED"}
+
+
+def test_undo_and_redo(analyzed, hidden):
+    bpy.ops.ed.undo_push(message="start")
+    bpy.ops.lipac.apply("EXEC_DEFAULT", True)
+    assert hidden() == FAR
+    bpy.ops.ed.undo()
+    assert (hidden(), bpy.context.scene.lipac.applied) == (set(), False)
+    bpy.ops.ed.redo()
+    assert (hidden(), bpy.context.scene.lipac.applied) == (FAR, True)
+    bpy.ops.lipac.restore("EXEC_DEFAULT", True)
+    assert hidden() == set()
+    bpy.ops.ed.undo()
+    assert hidden() == FAR
+    assert bpy.ops.lipac.restore() == {"FINISHED"}
+    assert hidden() == set()
+    assert bpy.ops.lipac.apply() == {"FINISHED"}  # the result outlives undo
+    assert hidden() == FAR
+
+
+def test_save_and_load(analyzed, hidden, tmp_path):
+    bpy.ops.lipac.apply()
+    path = str(tmp_path / "applied.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert hidden() == FAR  # as it was saved
+    assert bpy.context.scene.lipac.applied
+    assert results.of(bpy.context.scene) == {}
+    assert not bpy.ops.lipac.apply.poll()
+    assert bpy.ops.lipac.restore() == {"FINISHED"}
+    assert hidden() == set()
+
+
+def test_analyze_sees_what_was_hidden_and_hides_anew(analyzed, hidden):
+    bpy.ops.lipac.apply()
+    assert bpy.ops.lipac.analyze() == {"FINISHED"}
+    assert len(results.at(analyzed).culled) == 10
+    assert hidden() == FAR
+    analyzed.lipac.distance = 1000.0
+    bpy.ops.lipac.analyze()
+    assert hidden() == set()
+    assert analyzed.lipac.applied
+
+
+def test_ignored_and_pinned_objects_stay_as_the_user_set_them(analyzed, hidden):
+    bpy.data.objects["box4"].lipac.role = "IGNORE"
+    bpy.data.objects["box5"].lipac.role = "PIN"  # after the analysis
+    bpy.ops.lipac.apply()
+    assert hidden() == FAR - {"box4", "box5"}
+    assert results.at(analyzed).reason(bpy.data.objects["box4"]).kept == 0  # the analysis still says what it would do
+
+
+def test_mark_selected(scene):
+    for ob in bpy.data.objects:
+        ob.select_set(ob.name in FAR)
+    bpy.ops.ed.undo_push(message="start")
+    bpy.ops.lipac.mark("EXEC_DEFAULT", True, role="PIN")
+    assert {ob.name for ob in bpy.data.objects if ob.lipac.role == "PIN"} == FAR
+    bpy.ops.ed.undo()
+    assert not [ob for ob in bpy.data.objects if ob.lipac.role == "PIN"]
+    for ob in bpy.context.selected_objects:
+        ob.select_set(False)
+    assert not bpy.ops.lipac.mark.poll()
+
+
+def test_linked_objects_and_overrides(scene, boxes_file, hidden):
+    with bpy.data.libraries.load(str(boxes_file), link=True) as (_, to):
+        to.objects = ["box4", "box5"]
+    linked, override = to.objects[0], to.objects[1].override_create(remap_local_usages=False)
+    for ob in (linked, override):
+        scene.collection.objects.link(ob)
+    override.lipac.role = "PIN"
+    assert bpy.ops.lipac.analyze() == {"FINISHED"}
+    result = results.at(scene)
+    assert [result.reason(ob).kept for ob in (linked, override, bpy.data.objects["box4", None])] == [0, 1, 0]
+    for ob in bpy.data.objects:
+        ob.select_set(ob in {linked, override}) if ob.name in bpy.context.view_layer.objects else None
+    bpy.ops.lipac.apply()
+    assert linked.hide_render
+    assert not override.hide_render
+    bpy.ops.lipac.restore()
+    assert not linked.hide_render
+
+
+def test_polls(scene, monkeypatch):
+    assert bpy.ops.lipac.analyze.poll()
+    assert not bpy.ops.lipac.apply.poll()
+    job.start(scene).step()
+    assert not any(op.poll() for op in (bpy.ops.lipac.analyze, bpy.ops.lipac.apply, bpy.ops.lipac.restore))
+    job.stop()
+    assert bpy.ops.lipac.restore.poll()
+    monkeypatch.setattr(wheels, "missing", lambda: ("numba",))
+    assert not bpy.ops.lipac.analyze.poll()
+    monkeypatch.undo()
+    scene.camera = None
+    assert not bpy.ops.lipac.analyze.poll()
+
+
+class Modal:
+    """The modal operator without an event loop: its methods on a plain object."""
+
+    modal, finish = operators.LIPAC_OT_analyze.modal, operators.LIPAC_OT_analyze.finish
+
+    def __init__(self, scene):
+        self.job, self.timer, self.said = job.start(scene), None, []
+        manager = SimpleNamespace(event_timer_remove=lambda timer: self.said.append("timer removed"))
+        self.context = SimpleNamespace(window_manager=manager, scene=scene)
+
+    def report(self, kind, text):
+        self.said.append(text)
+
+    def event(self, kind):
+        return self.modal(self.context, SimpleNamespace(type=kind))
+
+    def until_done(self):
+        while (answer := self.event("TIMER")) == {"PASS_THROUGH"}:
+            pass
+        return answer
+
+
+def test_modal_runs_to_its_end(scene):
+    modal = Modal(scene)
+    assert modal.event("MOUSEMOVE") == {"PASS_THROUGH"}  # the viewport stays usable
+    assert modal.until_done() == {"FINISHED"}
+    assert modal.said == ["timer removed", "The picture needs 6 of 10 instances"]
+
+
+def test_modal_escape(scene):
+    scene.lipac.policy, scene.lipac.width, scene.lipac.paths = "light-paths", 640, 64
+    modal = Modal(scene)
+    assert modal.event("TIMER") == {"PASS_THROUGH"}
+    assert modal.event("ESC") == {"RUNNING_MODAL"}
+    assert modal.until_done() == {"CANCELLED"}
+    assert modal.said == ["timer removed", "the analysis was cancelled"]
+    assert results.of(scene) == {}
+
+
+def test_modal_ends_when_a_file_is_opened(scene, boxes_file):
+    modal = Modal(scene)
+    modal.event("TIMER")
+    bpy.ops.wm.open_mainfile(filepath=str(boxes_file))
+    assert modal.event("TIMER") == {"CANCELLED"}
+
+
+@pytest.mark.parametrize("wreck", [ImportError("numba"), OSError("libembree4.so")])
+def test_a_broken_library_is_one_line(scene, monkeypatch, wreck):
+    def broken():
+        raise wreck
+
+    monkeypatch.setattr(job, "_load_engine", broken)
+    with pytest.raises(RuntimeError, match="made for this platform"):
+        bpy.ops.lipac.analyze()

@@ -1,0 +1,162 @@
+"""The overlay: which boxes, in which colour, in how many draw calls; pixels of an offscreen picture where Blender can draw without a window."""
+
+from types import SimpleNamespace
+
+import bpy
+import gpu
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from lipac.lipac_addon.ui import overlay, results
+from lipac.lipac_addon.ui.boxes import COLORS, KINDS, ROW, boxes_of
+
+SIZE = 128
+
+
+def result_of(bounds, regions, culled, origin=(0.0, 0.0, 0.0)):
+    arrays = {"bounds": np.array(bounds, np.float32), "regions": np.array(regions, np.float32).reshape(-1, 2, 3)}
+    return SimpleNamespace(**arrays, culled=np.array(culled, bool), origin=np.array(origin))
+
+
+def unit_box(x, y, z=0.0, size=1.0):
+    return [(x, y, z), (x + size, y + size, z + size)]
+
+
+def test_boxes_kind_by_kind():
+    bounds = [unit_box(k, 0) for k in range(4)] + [[(np.nan,) * 3] * 2, [(1, 1, 1), (0, 0, 0)]]
+    boxes = boxes_of(result_of(bounds, [unit_box(9, 9)], [False, True, False, True, True, True]))
+    assert boxes.ranges == ((0, 2), (2, 1), (3, 2))  # what has no extent is not drawn
+    lows = boxes.texels.reshape(-1, 2, 4)[:5, 0, 0].tolist()
+    assert lows == [0.0, 2.0, 9.0, 1.0, 3.0]
+    assert boxes.texels.shape == (1, 2 * ROW, 4)
+
+
+@pytest.mark.parametrize("count", [0, 1, ROW, ROW + 1])
+def test_rows_of_the_texture(count):
+    boxes = boxes_of(result_of(np.zeros((count, 2, 3)), [], np.zeros(count, bool)))
+    assert boxes.texels.shape[0] == max(1, -(-count // ROW))
+    assert boxes.ranges[0] == (0, count)
+
+
+def test_colours_are_told_apart_by_the_colour_blind():
+    """By Machado, Oliveira and Fernandes' matrices (2009, severity 1) for protanopia and deuteranopia, in linear light."""
+    matrices = (
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    )
+    for matrix in (np.eye(3), *map(np.array, matrices)):
+        seen = [lab(matrix @ [overlay._to_linear(x) for x in COLORS[kind]]) for kind in KINDS]
+        assert min(np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[:i]) > 20  # CIE 1976; 2.3 is a just noticeable difference
+
+
+def lab(linear):
+    """CIELAB (D65) of linear Rec.709."""
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ linear
+    t = np.maximum(xyz, 0.0) / (0.9505, 1.0, 1.089)
+    f = np.where(t > 0.008856, np.cbrt(t), 7.787 * t + 16 / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def test_filters_freeze_and_legend(analyzed):
+    settings, result = analyzed.lipac, results.at(analyzed)
+    assert overlay.shown(settings) == ("active", "regions")
+    settings.show_culled, settings.show_active = True, False
+    assert overlay.shown(settings) == ("regions", "culled")
+    assert overlay.legend_of(result, KINDS)[0] == ("active", "active: 6 instances")
+    assert overlay.source(analyzed) is result
+    settings.freeze = True
+    analyzed.frame_set(5)
+    bpy.ops.lipac.analyze()
+    assert overlay.source(analyzed) is result
+    settings.freeze = False
+    assert overlay.source(analyzed) is results.at(analyzed) is not result
+    analyzed.frame_set(6)
+    assert overlay.source(analyzed) is None
+
+
+@pytest.fixture
+def canvas(ui):
+    """Draws with a function into a SIZE x SIZE picture; returns it, (SIZE, SIZE, 4) uint8, rows bottom up."""
+    if not hasattr(gpu, "init"):
+        pytest.skip("this Blender cannot draw without a window")
+    try:
+        gpu.init()
+    except Exception as error:
+        pytest.skip(f"no graphics here: {error}")
+    offscreen = gpu.types.GPUOffScreen(SIZE, SIZE, format="RGBA8")
+
+    def run(draw):
+        with offscreen.bind():
+            frame = gpu.state.active_framebuffer_get()
+            frame.clear(color=(0.0, 0.0, 0.0, 1.0), depth=1.0)
+            draw()
+            return np.array(frame.read_color(0, 0, SIZE, SIZE, 4, 0, "UBYTE").to_list(), np.uint8)
+
+    yield run
+    overlay.forget()
+    offscreen.free()
+
+
+def colour(kind, opacity=1.0):
+    return np.round(np.array(COLORS[kind]) * 255 * opacity)
+
+
+def counts(picture):
+    """Pixels of each kind's colour."""
+    return {kind: int((np.abs(picture[..., :3] - colour(kind)).max(axis=2) <= 1.0).sum()) for kind in KINDS}
+
+
+# From above, orthographic: 8 metres fill the picture, so a metre is 16 pixels.
+ABOVE = Matrix(((0.25, 0, 0, -1), (0, 0.25, 0, -1), (0, 0, -0.05, 0), (0, 0, 0, 1)))
+THREE = ([unit_box(1, 1), unit_box(5, 1)], [unit_box(1, 5, size=2.0)], [False, True])
+
+
+def test_pixels_carry_the_colour_of_their_state(canvas):
+    picture = canvas(lambda: overlay.draw_boxes(result_of(*THREE), KINDS, 1.0, ABOVE))
+    # The outline of a box of n pixels has about 4 n; a pixel more or less per side is the rasterizer's choice.
+    for kind, pixels in (("active", 64), ("culled", 64), ("regions", 128)):
+        assert abs(counts(picture)[kind] - pixels) <= 8
+    rows, columns = np.nonzero(np.abs(picture[..., :3] - colour("active")).max(axis=2) <= 1)
+    assert (rows.min(), columns.min()) >= (15, 15)
+    assert (rows.max(), columns.max()) <= (33, 33)
+
+
+def test_filter_and_opacity(canvas):
+    half = canvas(lambda: overlay.draw_boxes(result_of(*THREE), ("culled",), 0.5, ABOVE))
+    assert counts(half) == dict.fromkeys(KINDS, 0)
+    twice = np.abs(half[..., :3] - colour("culled", 0.75)).max(axis=2) <= 2.0  # from above, the edges of lid and floor lie on one another
+    assert abs(twice.sum() - 64) <= 8
+
+
+def test_far_from_the_origin(canvas):
+    there = (1e6, -2e6, 0.0)
+    matrix = np.array(ABOVE, np.float64) @ np.array([[1, 0, 0, -there[0]], [0, 1, 0, -there[1]], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
+    here = canvas(lambda: overlay.draw_boxes(result_of(*THREE), KINDS, 1.0, ABOVE))
+    far = canvas(lambda: overlay.draw_boxes(result_of(*THREE, origin=there), KINDS, 1.0, matrix))
+    np.testing.assert_array_equal(here, far)
+
+
+def test_draw_calls_are_constant_and_boxes_are_sent_once(canvas):
+    bounds = np.random.default_rng(0).uniform(0, 8, (20_000, 1, 3)) + [[[0, 0, 0], [0.1, 0.1, 0.1]]]
+    result = result_of(bounds, bounds[:500], np.arange(20_000) % 2 == 0)
+    before, calls = overlay.uploads, []
+    for _ in range(3):
+        picture = canvas(lambda: calls.append(overlay.draw_boxes(result, KINDS, 1.0, ABOVE)))
+    assert calls == [3, 3, 3]
+    assert overlay.uploads == before + 1
+    assert counts(picture)["culled"] > 1000  # all rows of the texture are reached
+
+
+def test_legend_is_in_the_colours_of_the_boxes(canvas):
+    result = result_of(*THREE)
+
+    def draw():
+        with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+            gpu.matrix.load_matrix(Matrix.Identity(4))
+            gpu.matrix.load_projection_matrix(Matrix(((2 / SIZE, 0, 0, -1), (0, 2 / SIZE, 0, -1), (0, 0, -1, 0), (0, 0, 0, 1))))
+            overlay.draw_legend(result, ("active", "culled"))
+
+    found = counts(canvas(draw))
+    assert found["active"] == found["culled"] == 144  # swatches of 12 x 12
+    assert found["regions"] == 0

@@ -1,0 +1,91 @@
+"""What the panels say: Blender's own layout, read back."""
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from lipac.lipac_addon.ui import job, panel, results, wheels
+
+
+@pytest.fixture
+def drawn(capfd):
+    """A panel's draw() with a real layout; returns what is in it as text. Wrong property names, which Blender only prints, fail the test."""
+
+    def run(cls):
+        popup = bpy.context.window_manager.popmenu_begin__internal("test", icon="NONE")
+        capfd.readouterr()
+        cls.draw(SimpleNamespace(layout=popup.layout), bpy.context)
+        out, err = capfd.readouterr()
+        assert not err.strip(), err
+        assert "Error" not in out
+        return str(popup.layout.introspect())
+
+    return run
+
+
+PANELS = panel._CLASSES
+
+
+@pytest.mark.parametrize("policy", ["light-paths", "frustum", "distance", "solid-angle"])
+def test_before_an_analysis(scene, drawn, policy):
+    scene.lipac.policy = policy
+    texts = [drawn(cls) for cls in PANELS]
+    assert "lipac.analyze" in texts[0].lower() or "LIPAC_OT_analyze" in texts[0]
+    assert "Nothing analyzed yet" in texts[1]
+
+
+def test_results_and_reason(analyzed, drawn):
+    bpy.context.view_layer.objects.active = bpy.data.objects["box5"]
+    texts = {cls.__name__: drawn(cls) for cls in PANELS}
+    assert "6 (60.0 %)" in texts["LIPAC_PT_results"]
+    assert "culled" in texts["LIPAC_PT_object"]
+    analyzed.frame_set(7)
+    assert "This frame was not analyzed" in drawn(panel.LIPAC_PT_results)
+
+
+def test_progress_and_error(scene, drawn):
+    running = job.start(scene)
+    running.message = "counting sheep"
+    assert "counting sheep" in drawn(panel.LIPAC_PT_main)
+    running.cancel()
+    running.run()
+    assert "cancelled" in drawn(panel.LIPAC_PT_main)
+
+
+def test_no_active_object_and_no_camera(scene, drawn):
+    bpy.context.view_layer.objects.active = None
+    scene.camera = None
+    for cls in PANELS:
+        drawn(cls)
+
+
+def test_missing_libraries_are_named(scene, drawn, monkeypatch):
+    monkeypatch.setattr(wheels, "missing", lambda: ("numba", "embreex"))
+    text = drawn(panel.LIPAC_PT_main)
+    assert "missing" in text
+    assert "embreex" in text
+    assert "analyze" not in text.lower()
+    assert not any(cls.poll(bpy.context) for cls in PANELS[1:])
+
+
+def test_libraries_that_python_cannot_find(monkeypatch):
+    monkeypatch.setattr(wheels, "find_spec", lambda name: None if name == "llvmlite" else name)
+    assert wheels.missing.__wrapped__() == ("llvmlite",)
+
+
+def test_figures(analyzed):
+    result = results.at(analyzed)
+    result.stats.update(blas_bytes=3 << 20, tlas_bytes=1 << 19, predicted_mean=0.002, predicted_worst=0.01, calibrated_mean=0.004, calibrated_worst=0.02)
+    rows = dict(panel.rows_of(result))
+    assert rows["Instances"] == "10"
+    assert rows["Memory of the active"] == "3.5 MiB"
+    assert rows["Change, predicted"] == "0.20 %, worst 1.00 %"
+    assert rows["Change, measured"] == "0.40 %, worst 2.00 %"
+    assert [panel.size(n) for n in (0, 1023, 1024, 5 << 30)] == ["0 B", "1023 B", "1.0 KiB", "5.0 GiB"]
+
+
+def test_a_second_view_layer_is_a_warning(scene):
+    scene.view_layers.new("second")
+    bpy.ops.lipac.analyze()
+    assert any("view layer" in line for line in results.at(scene).warnings)

@@ -1,0 +1,75 @@
+"""Registration leaves nothing behind, loads no heavy library, and every control explains itself."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import bpy
+import pytest
+
+import lipac
+from lipac.lipac_addon.ui import operators, overlay, panel, props
+
+OWNERS = (bpy.types.Scene, bpy.types.Object, bpy.types.Collection)
+
+
+def traces() -> set:
+    """Whatever the extension leaves in Blender."""
+    classes = {name for name in dir(bpy.types) if "lipac" in name.lower()}
+    lists = [handlers for name in dir(bpy.app.handlers) if isinstance(handlers := getattr(bpy.app.handlers, name), list)]
+    handlers = {h.__qualname__ for handlers in lists for h in handlers if "lipac" in getattr(h, "__module__", "")}
+    return classes | handlers | {owner.__name__ for owner in OWNERS if hasattr(owner, "lipac")} | set(overlay._handles)
+
+
+def test_register_again_and_again():
+    before = traces()
+    for _ in range(2):
+        lipac.register()
+        assert {"Scene", "Object", "Collection", "LIPAC_PT_main", "before_frame", "after_load"} <= traces()
+        lipac.unregister()
+        assert traces() == before
+
+
+def test_libraries_are_not_loaded_by_registering():
+    code = "import sys, bpy, lipac; lipac.register(); sys.exit(any(n in sys.modules for n in ('numba', 'llvmlite', 'scipy')))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("group", [props.LipacSettings, props.LipacRole])
+def test_every_property_has_a_tooltip(ui, group):
+    own = [p for p in group.bl_rna.properties if p.identifier not in {"rna_type", "name"}]
+    assert own
+    for p in own:
+        assert len(p.description) > 10, p.identifier
+        for item in p.enum_items if p.type == "ENUM" else ():
+            assert len(item.description) > 10, item.identifier
+
+
+def test_every_operator_has_a_tooltip(ui):
+    assert len(operators._CLASSES) == 4
+    for cls in operators._CLASSES:
+        text = getattr(bpy.ops.lipac, cls.bl_idname.removeprefix("lipac.")).get_rna_type().description
+        assert len(text) > 10, cls
+        assert not text.endswith(".")  # Blender shows it as it is
+
+
+def test_policies_and_rays_are_those_of_the_engine(ui):
+    from lipac.core.culling import POLICIES
+    from lipac.core.scene import RayType
+    from lipac.lipac_addon.ui.results import RAYS
+
+    assert {name for name, *_ in props.POLICIES} == set(POLICIES) - {"none"}
+    assert tuple(kind.name.lower() for kind in RayType) == RAYS
+    assert set(panel._OWN) == set(POLICIES) - {"none", "light-paths"}
+
+
+def test_settings_become_options(scene):
+    from lipac.core.culling import CullOptions
+
+    settings = scene.lipac
+    settings.property_unset("policy")
+    settings.property_unset("distance")
+    assert replace(props.cull_options(settings), margin=0.1) == CullOptions()  # Blender's numbers are single precision
+    settings.max_error, settings.paths, settings.seed, settings.threads = 2.5, 9, 5, 1
+    options = props.cull_options(settings)
+    assert (options.max_error.mean, options.paths, options.seed, options.threads) == (pytest.approx(0.025), 9, 5, 1)
