@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from . import ggx_albedo
-from .scene import Shader
+from .scene import ALL_RAYS, RayType, Shader
 
 # params: evaluated material inputs. Each is the MATERIAL field of that name (times its texture); nothing is squared or premultiplied.
 P_BASE = 0  # base_color, 3 floats
@@ -91,6 +91,8 @@ CLOSURE = _LOBES + _MAX_LOBES * _LOBE
 # Kinds are floats: they live in a float array, and numba would compile a function anew for each literal integer or boolean that it is called with.
 _LAMBERT, _OREN_NAYAR, _TRANSLUCENT, _TRANSPARENT, _REFLECTION, _REFRACTION, _GLASS = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
 _CONSTANT, _SCHLICK, _F82 = 0.0, 1.0, 2.0
+_DIFFUSE_RAYS, _GLOSSY_RAYS, _TRANSMISSION_RAYS = (1 << int(t) for t in (RayType.DIFFUSE, RayType.GLOSSY, RayType.TRANSMISSION))
+_GLASS_RAYS = _GLOSSY_RAYS | _TRANSMISSION_RAYS
 
 _CUTOFF = 1e-5  # lobes of less weight are dropped, as in Cycles
 _SINGULAR_ALPHA2 = 2e-10
@@ -572,16 +574,26 @@ def _add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float, o
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def bsdf_eval(closure: Any, wx: float, wy: float, wz: float, out: Any) -> None:
+def bsdf_eval(closure: Any, wx: float, wy: float, wz: float, out: Any, visibility: int = ALL_RAYS) -> None:
     """Value of the BSDF towards the unit direction w: out[0:3] = f * |cos|, out[O_PDF] = pdf. w below the surface means transmission.
 
+    visibility: bit per RayType, of the light that is looked at: lobes whose rays do not see it count for nothing (glass needs but one of its two).
     Like Cycles, it tests w against the normals that the lobes use, not against the geometric normal: smooth shading would show the triangles.
     """
     out[O_WEIGHT] = out[O_WEIGHT + 1] = out[O_WEIGHT + 2] = 0.0
     pdf, picks = 0.0, 0.0
     for o in range(_LOBES, _LOBES + int(closure[_COUNT]) * _LOBE, _LOBE):
-        pdf += closure[o + _PICK] * _add_eval(closure, o, wx, wy, wz, 0.0, out)
         picks += closure[o + _PICK]
+        kind = closure[o + _KIND]
+        rays = _GLASS_RAYS
+        if kind <= _TRANSLUCENT:
+            rays = _DIFFUSE_RAYS
+        elif kind == _REFLECTION:
+            rays = _GLOSSY_RAYS
+        elif kind == _REFRACTION:
+            rays = _TRANSMISSION_RAYS
+        if visibility & rays:
+            pdf += closure[o + _PICK] * _add_eval(closure, o, wx, wy, wz, 0.0, out)
     for k in range(3):
         out[k] = out[O_WEIGHT + k]
     out[O_PDF] = pdf / picks if picks > 0.0 else 0.0

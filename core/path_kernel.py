@@ -462,14 +462,6 @@ def _world(s, dx, dy, dz):
 
 
 @njit(**OPTIONS)
-def _sees(visibility, transmitted):
-    """Whether light with these visibility bits reaches the lobes on one side of a surface."""
-    if transmitted:
-        return visibility & (1 << _TRANSMISSION_RAY) != 0
-    return visibility & ((1 << _DIFFUSE_RAY) | (1 << _GLOSSY_RAY)) != 0
-
-
-@njit(**OPTIONS)
 def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transparent_bounce, count):
     """Sample one light from the point in w.surf, w.frame and w.closure, seen with throughput (tr, tg, tb), and add what arrives."""
     px, py, pz = w.surf[0], w.surf[1], w.surf[2]
@@ -479,27 +471,28 @@ def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transp
     if kind == NONE:
         return
     dx, dy, dz, t, pdf = light[0], light[1], light[2], light[3], light[4]
-    bsdf_eval(w.closure, dx, dy, dz, w.out)
+    instance = np.int64(-1)
+    k = f32_pointer(s.lamps + np.uint64(4 * LAMP) * np.uint64(max(kind, 0) if kind != INSTANCE else 0))
+    if kind == INSTANCE:
+        instance = w.chosen[0]
+        visibility = np.int64(load_u8(s.table[T_FLAGS], instance))
+    elif kind == WORLD:
+        visibility = np.int64(s.lights[L_WORLD_VISIBILITY])
+    else:
+        if bounce > np.int64(k[27]):
+            return
+        visibility = np.int64(k[24])
+    bsdf_eval(w.closure, dx, dy, dz, w.out, visibility)
     fr, fg, fb = np.float32(w.out[0]), np.float32(w.out[1]), np.float32(w.out[2])
     if not (fr > _ZERO or fg > _ZERO or fb > _ZERO):
         return
-    transmitted = nx * dx + ny * dy + nz * dz < _ZERO
     weighed = True
     shadowed = True
-    instance = np.int64(-1)
     if kind == INSTANCE:
-        instance = w.chosen[0]
-        if not _sees(np.int64(load_u8(s.table[T_FLAGS], instance)), transmitted):
-            return
         _emitted(s, w, instance, w.chosen[1], light[6], light[7], dx, dy, dz)
     elif kind == WORLD:
-        if not _sees(np.int64(s.lights[L_WORLD_VISIBILITY]), transmitted):
-            return
         w.radiance[0], w.radiance[1], w.radiance[2] = _world(s, dx, dy, dz)
     else:
-        k = f32_pointer(s.lamps + np.uint64(4 * LAMP) * np.uint64(kind))
-        if bounce > np.int64(k[27]) or not _sees(np.int64(k[24]), transmitted):
-            return
         weighed = k[26] != _ZERO
         shadowed = k[25] != _ZERO
         for c in range(3):

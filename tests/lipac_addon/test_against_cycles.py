@@ -33,7 +33,7 @@ def tiles(picture):
     return np.array([[tile.mean((0, 1)) for tile in np.array_split(row, COLUMNS, axis=1)] for row in rows])
 
 
-def check(folder, samples=8, size=(80, 45)):
+def check(folder: Any, samples: int = 8, size: tuple[int, int] = (80, 45)) -> Any:
     """Render the open scene both ways, and compare."""
     scene = bpy.context.scene
     render, cycles = scene.render, scene.cycles
@@ -236,6 +236,18 @@ def test_who_sees_what(stage, tmp_path):
     bpy.data.objects["Sphere"].visible_shadow = False
     bpy.data.objects["Sphere"].visible_diffuse = False
     paint("Plane", shader("ShaderNodeBsdfPrincipled", Metallic=1.0, Roughness=0.1))
+    check(tmp_path)
+
+
+@pytest.mark.parametrize("hidden", ["visible_diffuse", "visible_glossy", "visible_transmission"])
+def test_lamps_that_some_lobes_do_not_see(stage, tmp_path, hidden):
+    world((0.1, 0.1, 0.1))
+    setattr(lamp("AREA", (1, -2, 3), 200, size=1.5), hidden, False)
+    paint("Plane", shader("ShaderNodeBsdfPrincipled", Roughness=0.3, Base_Color=(0.5, 0.5, 0.2, 1)))
+    refraction = shader("ShaderNodeBsdfRefraction", Roughness=0.4)
+    next(n for n in refraction.node_tree.nodes if n.type == "BSDF_REFRACTION").distribution = "GGX"
+    paint("Cube", refraction)
+    paint("Sphere", shader("ShaderNodeBsdfPrincipled", Metallic=1.0, Roughness=0.3))
     check(tmp_path)
 
 
