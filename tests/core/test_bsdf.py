@@ -246,7 +246,7 @@ def test_nothing_breaks_at_the_edges() -> None:
         n = unit([0.6 * rng.standard_normal(), 0.6 * rng.standard_normal(), 1.0])
         ns = n if trial % 2 else unit([0.2, 0.1, 1.0])
         case = (Shader(int(rng.integers(0, 9))), inputs)
-        wi = direction(rng.choice([0.0, 30.0, 85.0, 89.999]), rng.uniform(0, 360))
+        wi = direction(float(rng.choice([0.0, 30.0, 85.0, 89.999])), rng.uniform(0, 360))
         closure = setup(case, wi, int(rng.integers(0, 8)), *((n, ns) if trial % 3 else (UP, UP)))
         if trial % 5 == 0:
             bsdf.bsdf_blur(closure, 0.3)

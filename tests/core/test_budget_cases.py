@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -107,7 +109,7 @@ def effect(scene: s.Scene) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
-def test_kept_below_its_effect_and_culled_above(case) -> None:
+def test_kept_below_its_effect_and_culled_above(case: Any) -> None:
     """Half its effect is too small a budget, twice is enough (in between the analysis may err by its noise). The smallest budget always keeps it."""
     scene = case()
     mean, worst = effect(scene)

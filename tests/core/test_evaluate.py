@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def test_pairing_removes_noise(judge: Judge) -> None:
 def test_confidence_interval_covers_a_known_change() -> None:
     """A tenth less light in one half, with noise of its own in every batch: the interval holds the truth in about 95 % of 300 cases (3 standard deviations)."""
     rng = np.random.default_rng(8)
-    covered = 0
+    covered: Any = 0
     for _ in range(300):
         full = np.ones((4, 18, 32, 3), np.float32)
         culled = full * np.where(np.arange(32) < 16, 0.9, 1.0)[:, None] + rng.normal(0, 0.05, full.shape)

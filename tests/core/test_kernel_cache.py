@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 import lipac.core
 from lipac.core import kernel_cache
 
@@ -24,15 +26,15 @@ def test_numba_uses_the_folder_whether_imported_before_or_after(tmp_path: Path) 
         assert Path(out).is_dir()
 
 
-def test_changed_sources_use_another_folder(tmp_path: Path, monkeypatch) -> None:
+def test_changed_sources_use_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     copy = tmp_path / "core"
     copy.mkdir()
     for path in Path(lipac.core.__file__).parent.glob("*.py"):
         shutil.copy(path, copy)
     monkeypatch.setenv("NUMBA_CACHE_DIR", os.environ.get("NUMBA_CACHE_DIR", ""))
-    import numba
+    from numba.core import config
 
-    monkeypatch.setattr(numba.config, "CACHE_DIR", numba.config.CACHE_DIR)
+    monkeypatch.setattr(config, "CACHE_DIR", getattr(config, "CACHE_DIR"))  # noqa: B009
     monkeypatch.setattr(kernel_cache, "__file__", str(copy / "kernel_cache.py"))
     before = kernel_cache.use(tmp_path / "cache")
     (copy / "bsdf.py").write_text((copy / "bsdf.py").read_text() + "\n")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lipac.core.regions import FANOUT, Regions
+from lipac.core.regions import FANOUT, Cut, Regions
 
 
 def boxes(count: int) -> np.ndarray:
@@ -13,12 +13,12 @@ def boxes(count: int) -> np.ndarray:
     return np.stack([center - half, center + half], axis=1).astype(np.float32)
 
 
-def members(regions: Regions, cut, row: int) -> np.ndarray:
+def members(regions: Regions, cut: Cut, row: int) -> np.ndarray:
     run = FANOUT ** int(cut.level[row])
     return regions.order[cut.index[row] * run : (cut.index[row] + 1) * run]
 
 
-def check(regions: Regions, bounds: np.ndarray, active: np.ndarray):
+def check(regions: Regions, bounds: np.ndarray, active: np.ndarray) -> Cut:
     cut = regions.cut(active)
     covered = np.zeros(len(bounds), int)
     for row in range(len(cut)):

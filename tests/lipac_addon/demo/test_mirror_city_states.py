@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from lipac.core.budget import Budget
 from lipac.core.culling import CullOptions
-from lipac.core.loop import Loop, by_budget
+from lipac.core.feedback import Feedback
+from lipac.core.loop import CullingResult, Loop, by_budget
 from lipac.core.scene import RayType
 
+States = tuple[CullingResult, Feedback]
 PATHS = 1000
 ANALYSIS = 64
 
 
 @pytest.fixture(scope="module")
-def states():
+def states() -> States:
     """The analysis of a small city at a budget of nothing, and the brute-force counts. The measured paths are among the brute-force ones."""
     import bpy
 
@@ -37,7 +38,7 @@ def states():
     return result, feedback
 
 
-def test_what_shows_nowhere_is_culled(states) -> None:
+def test_what_shows_nowhere_is_culled(states: States) -> None:
     result, brute = states
     met = brute.hits.sum(axis=1)
     assert (met == 0).sum() > 1000  # most of the city
@@ -46,7 +47,7 @@ def test_what_shows_nowhere_is_culled(states) -> None:
     assert result.active.sum() < 0.2 * len(met)
 
 
-def test_what_paths_need_is_active(states) -> None:
+def test_what_paths_need_is_active(states: States) -> None:
     result, brute = states
     met = brute.hits.sum(axis=1)
     # Met by a share p of paths, an instance escapes the 64 paths of 48 x 27 pixels with probability (1 - p)**82944: below 1e-6 from this share on.
@@ -55,7 +56,7 @@ def test_what_paths_need_is_active(states) -> None:
     assert result.active[sure].all()
 
 
-def test_what_only_the_mirror_shows_is_active(states) -> None:
+def test_what_only_the_mirror_shows_is_active(states: States) -> None:
     result, brute = states
     camera, glossy = brute.hits[:, RayType.CAMERA], brute.hits[:, RayType.GLOSSY]
     mirrored = (camera == 0) & (glossy > 500)

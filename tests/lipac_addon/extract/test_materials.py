@@ -58,7 +58,7 @@ def random_pixels(seed: int = 0) -> np.ndarray:
     return pixels
 
 
-def pixels_of(textures: Textures, index: int) -> np.ndarray:
+def pixels_of(textures: Textures, index: Any) -> np.ndarray:
     """(H, W, 4) as stored: 0 to 255, or floats."""
     r = textures.records[index]
     pool = textures.floats if r["is_float"] else textures.bytes
