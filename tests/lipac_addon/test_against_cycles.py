@@ -7,6 +7,7 @@ Clamping and Filter Glossy are off: they depend on how a renderer samples, not o
 
 import math
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
