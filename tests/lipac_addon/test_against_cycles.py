@@ -5,8 +5,11 @@ correction over tiles and channels), so a right renderer fails one run in a hund
 Clamping and Filter Glossy are off: they depend on how a renderer samples, not on what it computes.
 """
 
+from __future__ import annotations
+
 import math
 from pathlib import Path
+from typing import Any
 from typing import Any
 
 import bpy
