@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, told apart by colour-blind people: sRGB.
 KINDS = ("active", "regions", "culled")
-COLORS = {"active": (0.90, 0.60, 0.00), "regions": (0.00, 0.45, 0.70), "culled": (0.80, 0.47, 0.65)}
+COLORS = {"active": (0.90, 0.60, 0.00), "regions": (0.00, 0.45, 0.70), "culled": (0.00, 0.62, 0.45)}
 ROW = 2048  # boxes in a row of the texture; a box is two texels, its low and its high corner
 
 # Edges of the unit cube as pairs of corners; bit k of a corner is its coordinate k.
