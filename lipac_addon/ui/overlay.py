@@ -116,16 +116,16 @@ def forget() -> None:
     _frozen.clear()
 
 
-def draw_boxes(result: FrameResult, kinds: tuple[str, ...], opacity: float, view_projection: Any, encodes: bool = False) -> int:
+def draw_boxes(result: FrameResult, kinds: tuple[str, ...], opacity: float, view_projection: Any, in_front: bool = False, encodes: bool = False) -> int:
     """Draw boxes into the active framebuffer; returns the number of draw calls.
 
-    view_projection: (4, 4), of the world. encodes: the framebuffer turns linear colours into sRGB, as a viewport's does.
+    view_projection: (4, 4), of the world. in_front: also what geometry hides. encodes: the framebuffer turns linear colours into sRGB, as a viewport's does.
     """
     drawn = _upload(result)
     matrix = np.array(view_projection, np.float64)
     matrix[:, 3] += matrix[:, :3] @ drawn.boxes.origin  # in double precision: far from the world's origin single is not enough
     gpu.state.blend_set("ALPHA")
-    gpu.state.depth_test_set("LESS_EQUAL")
+    gpu.state.depth_test_set("NONE" if in_front else "LESS_EQUAL")
     gpu.state.depth_mask_set(False)
     calls = 0
     try:
@@ -176,9 +176,9 @@ def draw_legend(result: FrameResult, kinds: tuple[str, ...], scale: float = 1.0)
 
 def _draw_view() -> None:
     context = bpy.context
-    result = source(context.scene)
-    if context.scene.lipac.show_overlay and result is not None:
-        draw_boxes(result, shown(context.scene.lipac), context.scene.lipac.opacity, context.region_data.perspective_matrix, encodes=True)
+    result, settings = source(context.scene), context.scene.lipac
+    if settings.show_overlay and result is not None:
+        draw_boxes(result, shown(settings), settings.opacity, context.region_data.perspective_matrix, settings.in_front, encodes=True)
 
 
 def _draw_pixels() -> None:

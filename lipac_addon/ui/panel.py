@@ -179,6 +179,7 @@ class LIPAC_PT_overlay(_Child, bpy.types.Panel):
         for name in ("show_active", "show_regions", "show_culled"):
             row.prop(settings, name, toggle=True)
         layout.prop(settings, "opacity", slider=True)
+        layout.prop(settings, "in_front")
         layout.prop(settings, "freeze")
 
 

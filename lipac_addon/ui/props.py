@@ -102,6 +102,7 @@ class LipacSettings(bpy.types.PropertyGroup):
     show_culled: BoolProperty(name="Culled", description="Boxes of instances that go, one by one", update=_redraw)  # type: ignore[valid-type]
     show_regions: BoolProperty(name="Regions", description="Boxes that stand in for what is culled", default=True, update=_redraw)  # type: ignore[valid-type]
     opacity: FloatProperty(name="Opacity", description="Opacity of the boxes", subtype="FACTOR", default=0.6, min=0.0, max=1.0, update=_redraw)  # type: ignore[valid-type]
+    in_front: BoolProperty(name="In Front", description="Draw boxes also where geometry hides them", update=_redraw)  # type: ignore[valid-type]
     freeze: BoolProperty(  # type: ignore[valid-type]
         name="Freeze", description="Keep showing these boxes while you fly around, change frames and analyse again", update=_freeze
     )

@@ -129,6 +129,15 @@ def test_filter_and_opacity(canvas):
     assert abs(twice.sum() - 64) <= 8
 
 
+@pytest.mark.parametrize("in_front", [True, False])
+def test_behind_geometry(canvas, in_front):
+    def draw():
+        gpu.state.active_framebuffer_get().clear(depth=0.0)  # as if a wall stood before all
+        overlay.draw_boxes(result_of(*THREE), KINDS, 1.0, ABOVE, in_front)
+
+    assert (counts(canvas(draw))["active"] > 0) == in_front
+
+
 def test_far_from_the_origin(canvas):
     there = (1e6, -2e6, 0.0)
     matrix = np.array(ABOVE, np.float64) @ np.array([[1, 0, 0, -there[0]], [0, 1, 0, -there[1]], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
