@@ -254,6 +254,40 @@ def test_lamps_that_some_lobes_do_not_see(stage, tmp_path, hidden):
     check(tmp_path)
 
 
+def picture_node(tree: Any, pixels: Any, colorspace: str) -> Any:
+    """An image texture node of (H, W, 4) pixels."""
+    image = bpy.data.images.new("pixels", pixels.shape[1], pixels.shape[0])
+    image.colorspace_settings.name = colorspace
+    image.pixels.foreach_set(pixels.astype(np.float32).ravel())
+    image.update()
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image = image
+    return node
+
+
+def test_textures_and_normal_maps(stage: Any, tmp_path: Path) -> None:
+    world((0.3, 0.3, 0.3))
+    lamp("SUN", (1, -2, 3), 3, angle=0.1)
+    color = np.ones((32, 32, 4))
+    color[..., :3] = np.random.default_rng(0).random((32, 32, 3))
+    y, x = np.mgrid[:64, :64] / 64 * 2 * np.pi
+    normal = np.stack([0.5 * np.sin(2 * x), 0.5 * np.cos(3 * y), np.ones((64, 64))], -1)
+    bumps = np.ones((64, 64, 4))
+    bumps[..., :3] = normal / np.linalg.norm(normal, axis=-1, keepdims=True) * 0.5 + 0.5
+    for name in ("Plane", "Cube", "Sphere"):
+        material = shader("ShaderNodeBsdfPrincipled", Roughness=0.5)
+        tree = material.node_tree
+        surface = next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED")
+        bend = tree.nodes.new("ShaderNodeNormalMap")
+        tree.links.new(picture_node(tree, color, "sRGB").outputs[0], surface.inputs["Base Color"])
+        tree.links.new(picture_node(tree, bumps, "Non-Color").outputs[0], bend.inputs["Color"])
+        tree.links.new(bend.outputs[0], surface.inputs["Normal"])
+        paint(name, material)
+    for polygon in bpy.data.objects["Sphere"].data.polygons:
+        polygon.use_smooth = True
+    check(tmp_path, samples=16)
+
+
 @pytest.mark.parametrize(("name", "samples"), [("kitchen", 16), ("indoor", 4), ("rooms1024", 8), ("candela_city", 4)])
 def test_supplied_scenes(tmp_path, name, samples):
     path = SHARED / f"{name}.blend"
