@@ -55,10 +55,13 @@ class LIPAC_OT_analyze(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         props.redraw()
-        if self.job.step():
-            return {"PASS_THROUGH"}
-        context.window_manager.event_timer_remove(self.timer)
-        return self.finish(context)
+        going = False
+        try:
+            going = self.job.step()
+        finally:  # also after an error of ours, which Blender shows
+            if not going:
+                context.window_manager.event_timer_remove(self.timer)
+        return {"PASS_THROUGH"} if going else self.finish(context)
 
     def cancel(self, _context: bpy.types.Context) -> None:
         """Called when the window closes."""

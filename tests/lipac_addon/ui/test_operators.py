@@ -172,3 +172,16 @@ def test_a_broken_library_is_one_line(scene, monkeypatch, wreck):
     monkeypatch.setattr(job, "_load_engine", broken)
     with pytest.raises(RuntimeError, match="made for this platform"):
         bpy.ops.lipac.analyze()
+
+
+def test_an_error_of_ours_leaves_no_timer(scene, monkeypatch):
+    def broken():
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(job, "_load_engine", broken)
+    modal = Modal(scene)
+    with pytest.raises(ZeroDivisionError):
+        modal.until_done()
+    assert modal.said == ["timer removed"]
+    assert not job.is_running()
+    assert "console" in modal.job.error
