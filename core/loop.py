@@ -159,13 +159,34 @@ class Loop:
         """
         tlas = self.build(keep)
         start = time.perf_counter()
-        flags = np.where(keep, self.scene.instances.flags, np.uint8(0))
-        instances = dataclasses.replace(self.scene.instances, flags=flags)
-        prepared = self.prepared.with_instances(instances)
-        picture = self._trace(prepared, tlas, samples, first_sample, None, progress, self.size)
+        picture = self._trace(self._dark_but(keep), tlas, samples, first_sample, None, progress, self.size)
         self.rays += picture.rays
         self.timer.add("trace_s", start)
         return picture.mean
+
+    def _dark_but(self, keep: np.ndarray) -> Prepared:
+        """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""
+        flags = np.where(keep, self.scene.instances.flags, np.uint8(0))
+        return self.prepared.with_instances(dataclasses.replace(self.scene.instances, flags=flags))
+
+    def settle(self, progress: Progress = silent) -> Measurement:
+        """A measurement of what is built: the cold start's last, or one more where that met emitters that were not.
+
+        Emitters that are not built shine through walls that are not built either; a picture with their light is none to compare others with.
+        """
+        if self.measured is not None:
+            built = np.zeros(len(self.active), bool)
+            built[self.measured.tlas.ids] = True
+            unbuilt = self.exists & ~built & (self.measured.feedback.hits.sum(axis=1) > 0)
+            if not unbuilt.any():
+                return self.measured
+            self.active |= unbuilt
+        lit, self.prepared = self.prepared, self._dark_but(self.active)
+        try:
+            self.measured = self.measure(progress=progress)
+        finally:
+            self.prepared = lit
+        return self.measured
 
     def _trace(
         self, prepared: Prepared, tlas: Tlas, samples: int, first_sample: int, feedback: Feedback | None, progress: Progress, size: tuple[int, int]
@@ -294,9 +315,9 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     """Cull what saves most while the picture changes by no more than the budget; the score is the share of the picture that an instance is worth.
 
     What each instance is worth alone does not say what many are worth together, nor what lies behind them. So the culled scene is traced with the same random
-    numbers and compared, and the selection is tightened until both bounds hold, or loosened once where they hold by far.
+    numbers and compared, and the selection is tightened until both bounds hold, or loosened where they hold by far.
     """
-    measured = loop.measured or loop.measure(progress=part(progress, 0.0, 0.3, "measuring, "))
+    measured = loop.settle(part(progress, 0.0, 0.3, "measuring, "))
     start = time.perf_counter()
     ids, hits = measured.tlas.ids, measured.feedback.hits
     worth = measured.weights.relative()
@@ -317,19 +338,18 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
         picture = loop.trace_again(keep, measured.first_sample, loop.options.paths, progress)
         return _Choice(keep, selection, *change(measured.picture, picture, COLUMNS, ROWS))
 
-    chosen, scale = None, 1.0
+    chosen, scale, low, high = None, 1.0, 0.0, np.inf  # the largest scale known to hold, the smallest known not to
     for i in range(CALIBRATIONS):
         choice = attempt(scale, part(progress, 0.3 + 0.7 * i / CALIBRATIONS, 0.3 + 0.7 * (i + 1) / CALIBRATIONS, "calibrating, "))
         excess = choice.excess(budget)
         if excess > 1.0:
-            if chosen:
-                break
-            scale *= max(0.8 / excess, 0.1)
+            high = scale
         else:
-            chosen = choice
-            if i or excess > 0.5 or choice.selection.cull.all():
+            chosen, low = choice, scale
+            if excess > 0.7 or choice.selection.cull.all():
                 break
-            scale *= min(0.8 / max(excess, 0.1), 4.0)
+        wanted = scale * min(max(0.8 / max(excess, 0.1), 0.1), 4.0)
+        scale = wanted if low < wanted < high else float(np.sqrt(low * high))
     chosen = chosen or attempt(0.0, progress)  # nothing that was tried holds: keep everything that was met
     score = np.zeros(len(loop.active), np.float32)
     score[ids] = worth.mean(axis=1)
