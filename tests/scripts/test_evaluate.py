@@ -1,0 +1,52 @@
+"""`lipac evaluate` on a small scene: every file, and the one line for bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+
+from lipac.core import evaluate, oracle
+from lipac.scripts import lipac
+
+
+def test_evaluate_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"PATHS": (1, 2), "EVERY": (4,), "LADDER": 3, "REFINEMENTS": 1, "SHARES": (1e-4, 1e-2)}.items():
+        monkeypatch.setattr(evaluate, name, value)  # fewer rows of each kind
+    monkeypatch.setattr(oracle, "TRIALS", 2)
+    scene, out = tmp_path / "city.blend", tmp_path / "out"
+    assert lipac.main(["demo", "mirror-city", "-o", str(scene), "--instances", "1000", "--quiet"]) == 0
+    capfd.readouterr()
+    command = ["evaluate", str(scene), "-o", str(out), "--resolution", "64x36", "--samples", "2", "--budget-check", "1", "--ray-budget"]
+    assert lipac.main(command) == 0
+    shown = capfd.readouterr()
+    assert "left)" in shown.err  # progress with the time left
+    summary = json.loads((out / "evaluation.json").read_text())
+    assert summary["instances"] > 1000
+    assert len(summary["equal_error"]) == 4
+    assert summary["budget_check"]["cases"] == 4
+    assert [row["paths"] for row in summary["ray_budget"]][:2] == [1, 2]
+    with (out / "evaluation.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(summary["rows"]) > 15
+    assert float(rows[0]["mean"]) == 0.0
+    for name in ("error_memory", "error_time", "error_active"):
+        assert imread(out / f"{name}.png").shape[1] > 600
+    assert imread(out / "pictures.png").shape[0] == 72
+    report = (out / "report.md").read_text()
+    assert report.rstrip() in shown.out
+    for word in ("oracle", "heuristic", "Budget check", "Paths and boxes"):
+        assert word in report
+    assert lipac.main([*command, "--quiet"]) == 0  # from what is there
+    assert json.loads((out / "evaluation.json").read_text())["equal_error"] == summary["equal_error"]
+
+
+@pytest.mark.parametrize(("arguments", "says"), [([], "SCENE is missing"), (["gone.blend"], "no such file: gone.blend")])
+def test_bad_input_is_one_line(arguments: list[str], says: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert lipac.main(["evaluate", *arguments, "-o", str(tmp_path)]) == 2
+    error = capfd.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
