@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 
 from . import ggx_albedo
+from .sampling import INNER
 from .scene import ALL_RAYS, RayType, Shader
 
 # params: evaluated material inputs. Each is the MATERIAL field of that name (times its texture); nothing is squared or premultiplied.
@@ -117,12 +118,12 @@ _OFFSETS = np.concatenate(([0], np.cumsum(_SIZES.prod(axis=1))[:-1]))
 _REFLECTION_E, _GLASS_E, _INSIDE_E, _SCHLICK_S, _SCHLICK_IOR_S = 0, 2, 4, 6, 7  # the mean of a table over cosines is the next one
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _clip(x: float) -> float:
     return min(max(x, 0.0), 1.0)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _lookup(which: int, z: float, y: float, x: float) -> float:
     """Trilinear interpolation of a table at coordinates in [0, 1] per axis."""
     nz, ny, nx = _SIZES[which, 0], _SIZES[which, 1], _SIZES[which, 2]
@@ -138,7 +139,7 @@ def _lookup(which: int, z: float, y: float, x: float) -> float:
     return value
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _dielectric(cos: float, eta: float) -> tuple[float, float]:
     """Unpolarised Fresnel reflectance of a dielectric, and the cosine (negative: beyond the surface) of the refracted ray; 1, 0 at total reflection."""
     squared = eta * eta - (1.0 - cos * cos)
@@ -151,12 +152,12 @@ def _dielectric(cos: float, eta: float) -> tuple[float, float]:
     return 0.5 * (rs * rs + rp * rp), -ct / eta
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _f0(ior: float) -> float:
     return ((ior - 1.0) / (ior + 1.0)) ** 2
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _fresnel(c: Any, o: int, k: int, cos: float, dielectric: float) -> tuple[float, float]:
     """Reflectance and transmittance of lobe o in channel k at cosine cos to the microfacet, where the dielectric reflectance there is known."""
     kind = c[o + _FRESNEL]
@@ -173,13 +174,13 @@ def _fresnel(c: Any, o: int, k: int, cos: float, dielectric: float) -> tuple[flo
     return 1.0, 0.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _smith(alpha2: float, cos: float) -> float:
     """Lambda of Smith's shadowing for GGX (Heitz, JCGT 3(2), 2014, equation 72)."""
     return 0.5 * (math.sqrt(1.0 + alpha2 * max(1.0 / (cos * cos) - 1.0, 0.0)) - 1.0)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _oren_nayar_g(cos: float) -> float:
     """Direction-dependent part of the albedo of Fujii's Oren-Nayar model (as in the OpenPBR specification)."""
     if cos < 1e-6:
@@ -189,7 +190,7 @@ def _oren_nayar_g(cos: float) -> float:
     return sin * (math.acos(cos) - 2.0 / 3.0 - sin * cos) + 2.0 / 3.0 * (sin / cos) * (1.0 - sin * sin * sin)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _add_lobe(c: Any, kind: float, r: float, g: float, b: float, alpha: float, eta: float, n: Any) -> int:
     """Append a lobe of weight (r, g, b) with normal n; returns its offset in closure, -1 where it weighs too little to matter."""
     r, g, b = max(r, 0.0), max(g, 0.0), max(b, 0.0)
@@ -211,7 +212,7 @@ def _add_lobe(c: Any, kind: float, r: float, g: float, b: float, alpha: float, e
     return o
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float) -> float:
     """Finish GGX lobe o: sampling weight, energy preservation. Returns the share of light that layers below it keep.
 
@@ -245,7 +246,7 @@ def _layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float) -> float:
     return _clip(keep)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _schlick(c: Any, o: int, f0: float, r: float, g: float, b: float) -> float:
     """Give lobe o Fresnel reflectance from f0 * (r, g, b) to 1 along the dielectric curve (tints set before), and finish it. Returns as `_layer`."""
     c[o + _FRESNEL] = _SCHLICK
@@ -263,13 +264,13 @@ def _schlick(c: Any, o: int, f0: float, r: float, g: float, b: float) -> float:
     return _layer(c, o, fr, fg, fb)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _tints(c: Any, o: int, reflection: float, transmission: float) -> None:
     for k in range(3):
         c[o + _TINT_R + k], c[o + _TINT_T + k] = reflection, transmission
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _diffuse(c: Any, r: float, g: float, b: float, roughness: float, n: Any) -> None:
     """Lambert, or Fujii's Oren-Nayar with multiple scattering coloured by the base colour (https://mimosa-pudica.net/improved-oren-nayar.html)."""
     o = _add_lobe(c, _LAMBERT, r, g, b, 0.0, 1.0, n)
@@ -287,7 +288,7 @@ def _diffuse(c: Any, r: float, g: float, b: float, roughness: float, n: Any) -> 
         c[o + _F0 + k] = albedo * albedo / math.pi * (mean / (1.0 - mean)) / (1.0 - albedo * (1.0 - mean)) * lost
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _lift(c: Any, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
     """The shading normal n, turned towards the geometric normal until the mirror direction of wi leaves the surface, as Cycles does for glossy lobes.
 
@@ -318,13 +319,13 @@ def _lift(c: Any, nx: float, ny: float, nz: float) -> tuple[float, float, float]
     return sine * tx + cosine * gx, sine * ty + cosine * gy, sine * tz + cosine * gz
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _beer(tint: float, depth: float, weight: float) -> float:
     """What a coat of this weight lets through at optical depth `depth`; a tint above 1 at grazing angles is kept finite."""
     return max(0.0, 1.0 + weight * (min(max(tint, 0.0) ** depth, 1e6) - 1.0))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
     """Lobes of the Principled BSDF, from the top: transparency, coat, metal | glass | specular over diffuse."""
     reflective, refractive = flags & NO_REFLECTIVE_CAUSTICS == 0, flags & NO_REFRACTIVE_CAUSTICS == 0
@@ -395,7 +396,7 @@ def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
     _diffuse(c, wr * base_r, wg * base_g, wb * base_b, _clip(c[_PARAMS + P_DIFFUSE_ROUGHNESS]), n)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _metal(c: Any, o: int) -> None:
     """F82-tint Fresnel: base colour at normal incidence; the specular tint darkens Schlick's curve at acos(1/7)."""
     c[o + _FRESNEL] = _F82
@@ -462,7 +463,7 @@ def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -
     _mark(c)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _mark(c: Any) -> None:
     """Set C_HAS_EVAL."""
     c[C_HAS_EVAL] = 0.0
@@ -484,7 +485,7 @@ def bsdf_blur(closure: Any, alpha: float) -> None:
     _mark(closure)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _bump_shadowing(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float) -> float:
     """What a bent normal leaves of light from w: none from behind the smooth surface, and for diffuse lobes a soft terminator.
 
@@ -506,7 +507,7 @@ def _bump_shadowing(c: Any, o: int, wx: float, wy: float, wz: float, sampled: fl
     return 1.0 / (1.0 + _smith(_clip(0.125 * (1.0 / (cos_d * cos_d) - 1.0)), cos_i))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float, out: Any) -> float:
     """Add lobe o's weighted f * |cos| towards w to out[O_WEIGHT:]; returns its pdf. sampled: 1 where w was sampled from this lobe."""
     kind = c[o + _KIND]
@@ -599,7 +600,7 @@ def bsdf_eval(closure: Any, wx: float, wy: float, wz: float, out: Any, visibilit
     out[O_PDF] = pdf / picks if picks > 0.0 else 0.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _basis(x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
     """(x, y, z) of the frame around the unit normal n, in world space (Duff et al., "Building an orthonormal basis, revisited", JCGT 6(1), 2017)."""
     sign = math.copysign(1.0, nz)
@@ -612,7 +613,7 @@ def _basis(x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tup
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _local(x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
     """Inverse of `_basis`."""
     sign = math.copysign(1.0, nz)
@@ -625,7 +626,7 @@ def _local(x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tup
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _microfacet(c: Any, o: int, u0: float, u1: float) -> tuple[float, float, float]:
     """A visible normal of GGX lobe o (Dupuy, Benyoub, "Sampling visible GGX normals with spherical caps", HPG 2023), world space."""
     nx, ny, nz = c[o + _N], c[o + _N + 1], c[o + _N + 2]

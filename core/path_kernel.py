@@ -67,7 +67,7 @@ from .lights import (
     world_density,
 )
 from .memory import f32_pointer, f64_pointer, i32_pointer, i64_pointer, load_u8, load_u32, u32_pointer, u64_pointer
-from .sampling import OPTIONS, mix, normalize, path_key, power_heuristic, uniform2
+from .sampling import INNER, mix, normalize, path_key, power_heuristic, uniform2
 from .scene import RAY_TYPES, InstanceFlag, RayType, Shader
 from .shading import (
     M_MIS,
@@ -213,7 +213,7 @@ class Scratch(NamedTuple):
 ADDRESSES = 22
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _scenery(a):
     return Scenery(
         u64_pointer(a[A_TABLE]),
@@ -249,7 +249,7 @@ _VERTICES_AT = _REST_AT + 12 * _PART
 _WORK = _VERTICES_AT + (8 + 8) * MAX_VERTICES
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _scratch(start):
     """Work space at an address of _WORK bytes, 16-byte aligned."""
     rest = start + np.uint64(_REST_AT)
@@ -279,7 +279,7 @@ def _scratch(start):
     )
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _set_ray(ray, words, ox, oy, oz, dx, dy, dz, far, ray_type):
     """Fill a ray for a query: ray as float32, words its address."""
     ray[ORG] = ox
@@ -298,20 +298,20 @@ def _set_ray(ray, words, ox, oy, oz, dx, dy, dz, far, ray_type):
     w[GEOM_ID] = w[INST_ID] = w[INST_PRIM_ID] = np.uint32(INVALID)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _intersect(tlas, words):
     """Closest hit of the ray at address words."""
     rtc_intersect(pointer(tlas), pointer(words), pointer(np.uint64(0)))
     return load_u32(words, GEOM_ID) != np.uint32(INVALID)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _entry(s, words):
     """TLAS entry that the ray at address words met."""
     return s.first[np.int64(load_u32(words, INST_ID))] + np.int64(load_u32(words, INST_PRIM_ID))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**INNER)
 def _count_boxes(hitboxes, counters, length, query, words, far, ray_type, nearest):
     """`count_crossings` of what lies at addresses."""
     count_crossings(
@@ -325,18 +325,18 @@ def _count_boxes(hitboxes, counters, length, query, words, far, ray_type, neares
     )
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _met(s, instance, ray_type):
     """Count a hit of an instance by a type of ray."""
     atomic_add_int64(s.feedback + np.uint64(8) * np.uint64(instance * RAY_TYPES + ray_type), np.int64(1))
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _luminance(r, g, b):
     return _RED * r + _GREEN * g + _BLUE * b
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _worth(s, w, entry, luminance):
     """Credit a TLAS entry with luminance of the current tile."""
     units = luminance * s.limits[V_UNITS]
@@ -344,7 +344,7 @@ def _worth(s, w, entry, luminance):
         atomic_add_int64(s.weights + np.uint64(8) * np.uint64(entry * TILES + w.stats[_TILE]), np.int64(min(units, _MOST)))
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _remember(s, w, entry, tr, tg, tb):
     """Note a TLAS entry that the path meets for the first time: what it has gathered so far, and what it carries."""
     n = w.stats[_VERTICES]
@@ -358,7 +358,7 @@ def _remember(s, w, entry, tr, tg, tb):
         w.stats[_VERTICES] = n + 1
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _settle(s, w):
     """At the end of a path: credit what it met with what it gathered behind it, or with what it carried there where that is more."""
     total = _luminance(w.total[0], w.total[1], w.total[2])
@@ -369,7 +369,7 @@ def _settle(s, w):
         atomic_add_int64(s.tile_light + np.uint64(8) * np.uint64(w.stats[_TILE]), np.int64(min(units, _MOST)))
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _add(s, w, r, g, b, bounce):
     """Add a contribution to the path's total, clamped as Cycles does; bounce: how many bounces lie before the light's last one."""
     total = abs(r) + abs(g) + abs(b)
@@ -382,7 +382,7 @@ def _add(s, w, r, g, b, bounce):
     w.total[2] += b * f
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
     """What share of light passes along a segment, into w.radiance as a factor; True where some arrives. count: count the hitboxes it crosses."""
     hits_left = max(s.settings[I_TRANSPARENT] - transparent_bounce, 0)
@@ -435,7 +435,7 @@ def _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
         ox, oy, oz = ex, ey, ez
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _emitted(s, w, instance, triangle, b1, b2, dx, dy, dz):
     """Radiance of a point of an emissive instance (sampled as a light) against direction d, into w.radiance; its place into w.far_surf, w.far_frame."""
     mesh = mesh_record(s.lights[L_MESHES], s.table, instance)
@@ -453,7 +453,7 @@ def _emitted(s, w, instance, triangle, b1, b2, dx, dy, dz):
             w.radiance[k] *= np.float32(w.far_closure[C_EMISSION + k])
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _world(s, dx, dy, dz):
     """Radiance of the world in a direction."""
     if s.lights[L_IMAGE] == np.uint64(0):
@@ -461,7 +461,7 @@ def _world(s, dx, dy, dz):
     return environment_radiance(s.lights[L_IMAGE], np.int64(s.lights[L_WIDTH]), np.int64(s.lights[L_HEIGHT]), dx, dy, dz)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transparent_bounce, count):
     """Sample one light from the point in w.surf, w.frame and w.closure, seen with throughput (tr, tg, tb), and add what arrives."""
     px, py, pz = w.surf[0], w.surf[1], w.surf[2]
@@ -526,7 +526,7 @@ def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transp
     _add(s, w, w.radiance[0], w.radiance[1], w.radiance[2], bounce)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _lamps_seen(s, w, ox, oy, oz, dx, dy, dz, far, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before):
     """Add the lamps whose shapes a ray meets before far. mis: weigh against light sampling from p with normal n, `before` further back along the ray."""
     for i in range(np.int64(s.lights[L_LAMPS])):
@@ -547,7 +547,7 @@ def _lamps_seen(s, w, ox, oy, oz, dx, dy, dz, far, tr, tg, tb, ray_type, bounce,
         _add(s, w, tr * k[13] * f, tg * k[14] * f, tb * k[15] * f, bounce - 1)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far):
     """Trace one path from a camera ray; its radiance goes into w.total[0:3], how much of the pixel is transparent into w.total[3]."""
     w.total[0] = w.total[1] = w.total[2] = w.total[3] = _ZERO

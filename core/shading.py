@@ -32,7 +32,7 @@ from .bsdf import (
     P_TRANSMISSION,
 )
 from .memory import address, load_f32, load_i32, load_u8, load_u16, load_u32, load_u64, offset
-from .sampling import OPTIONS, normalize
+from .sampling import INNER, normalize
 from .scene import MATERIAL, Scene, Shader
 from .textures import lookup, texture_uv_map
 
@@ -89,13 +89,13 @@ class SceneTable:
         self.table = np.array([address(a) for a in self.arrays], np.uint64)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def mesh_record(meshes, table, instance):
     """Address of the mesh record (blas.MESH) of an instance; meshes: address of the records."""
     return meshes + np.uint64(load_i32(table[T_MESH], instance)) * _MESH_SIZE
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def material_of(table, mesh, instance, triangle):
     """Address of the material (scene.MATERIAL) of a triangle of an instance; mesh: address of its mesh record."""
     slots = load_u64(mesh + _MESH_SLOTS, 0)
@@ -105,7 +105,7 @@ def material_of(table, mesh, instance, triangle):
     return table[T_MATERIALS] + np.uint64(load_i32(table[T_SLOT_MATERIALS], slot)) * MATERIAL_SIZE
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def vertex(mesh, triangle, corner):
     """Corner of a triangle in object space: 3 float32."""
     i = 3 * np.int64(load_u32(load_u64(mesh + _TRIANGLES, 0), 3 * triangle + corner))
@@ -113,7 +113,7 @@ def vertex(mesh, triangle, corner):
     return load_f32(p, i), load_f32(p, i + 1), load_f32(p, i + 2)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def corner_normal(mesh, triangle, b1, b2):
     """Interpolated shading normal in object space, not normalised; zeros where the mesh is flat shaded."""
     n = load_u64(mesh + _NORMALS, 0)
@@ -127,7 +127,7 @@ def corner_normal(mesh, triangle, b1, b2):
     return x, y, z
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def interpolate(mesh, m, triangle, b1, b2, surf, frame):
     """Position, its error bound and both normals of a point of a triangle.
 
@@ -185,7 +185,7 @@ def interpolate(mesh, m, triangle, b1, b2, surf, frame):
     frame[F_NS + 2] = frame[F_N + 2] = sz
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def face(frame, dx, dy, dz):
     """Turn the normals to the side that a ray of direction d came from and set F_WI. True where the surface is seen from its back."""
     frame[F_WI] = -dx
@@ -198,7 +198,7 @@ def face(frame, dx, dy, dz):
     return back
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def offset_origin(surf, frame, dx, dy, dz):
     """Where a ray of direction d starts that must not meet its own surface: moved along the geometric normal, to d's side, by the error bound
     (pbrt-v4 section 6.8.6)."""
@@ -209,7 +209,7 @@ def offset_origin(surf, frame, dx, dy, dz):
     return surf[S_P] + d * nx, surf[S_P + 1] + d * ny, surf[S_P + 2] + d * nz
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def uv_at(mesh, uv_map, triangle, b1, b2):
     """UV coordinates of a point of a triangle in map uv_map; zeros without maps."""
     uvs = load_u64(mesh + _UVS, 0)
@@ -222,14 +222,14 @@ def uv_at(mesh, uv_map, triangle, b1, b2):
     return u, v
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def sample_texture(table, mesh, index, triangle, b1, b2):
     """RGBA of a texture at a point of a triangle."""
     u, v = uv_at(mesh, texture_uv_map(table[T_TEXTURES], index), triangle, b1, b2)
     return lookup(table[T_TEXTURES], table[T_BYTES], table[T_FLOATS], index, u, v)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def sample_channel(table, mesh, index, channel, triangle, b1, b2):
     """One scalar of a texture: channel as MATERIAL says."""
     r, g, b, a = sample_texture(table, mesh, index, triangle, b1, b2)
@@ -244,7 +244,7 @@ def sample_channel(table, mesh, index, channel, triangle, b1, b2):
     return (r + g + b) * _THIRD
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def material_inputs(table, mesh, material, triangle, b1, b2, params):
     """Evaluate a material's BSDF inputs at a point of a triangle into params (bsdf.P_*)."""
     for k in range(3):
@@ -283,7 +283,7 @@ def material_inputs(table, mesh, material, triangle, b1, b2, params):
             params[slot] *= sample_channel(table, mesh, texture, channel, triangle, b1, b2)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def material_alpha(table, mesh, material, triangle, b1, b2, params):
     """Only what a shadow ray needs: base colour and alpha into params."""
     for k in range(3):
@@ -302,7 +302,7 @@ def material_alpha(table, mesh, material, triangle, b1, b2, params):
         params[P_ALPHA] *= sample_channel(table, mesh, texture, load_u8(material + _ALPHA_CHANNEL, 0), triangle, b1, b2)
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def emission(table, mesh, material, triangle, b1, b2, back):
     """Radiance that a surface emits at a point, before alpha and coat: 3 float32. back: seen from its back."""
     r, g, b = load_f32(material + M_EMISSION, 0), load_f32(material + M_EMISSION, 1), load_f32(material + M_EMISSION, 2)
@@ -319,20 +319,20 @@ def emission(table, mesh, material, triangle, b1, b2, back):
     return r, g, b
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def emits(material):
     """Whether a material emits anywhere."""
     return load_f32(material + M_EMISSION, 0) > _ZERO or load_f32(material + M_EMISSION, 1) > _ZERO or load_f32(material + M_EMISSION, 2) > _ZERO
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def transmits_shadow(material):
     """Whether a shadow ray may pass a material at all."""
     shader = load_u32(material + M_SHADER, 0)
     return shader == _TRANSPARENT or (shader == _PRINCIPLED and (load_f32(material + _ALPHA, 0) < _ONE or load_i32(material + _ALPHA_TEXTURE, 0) >= 0))
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def attenuates_emission(material):
     """Whether alpha or coat lie over a material's emission."""
     if load_u32(material + M_SHADER, 0) != _PRINCIPLED:
@@ -340,7 +340,7 @@ def attenuates_emission(material):
     return load_f32(material + _ALPHA, 0) < _ONE or load_i32(material + _ALPHA_TEXTURE, 0) >= 0 or load_f32(material + _COAT, 0) > _ZERO
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def apply_normal_map(table, mesh, m, material, triangle, b1, b2, back, frame):
     """Bend frame[F_N] by the material's tangent-space normal map. m: address of the instance's transform.
 
@@ -395,7 +395,7 @@ def apply_normal_map(table, mesh, m, material, triangle, b1, b2, back, frame):
     frame[F_N + 2] = f * wz
 
 
-@njit(**OPTIONS)
+@njit(**INNER)
 def shadow_origin(mesh, m, triangle, surf, frame, lx, ly, lz):
     """Where a shadow ray towards l starts: `offset_origin`, and near the terminator of a smooth-shaded mesh lifted off the flat triangle.
 
