@@ -32,16 +32,13 @@ INVALID = 0xFFFFFFFF
 GEOMETRY_TRIANGLE, GEOMETRY_USER, GEOMETRY_INSTANCE_ARRAY = 0, 120, 122
 BUFFER_INDEX, BUFFER_VERTEX, BUFFER_TRANSFORM = 0, 1, 23
 FORMAT_UINT, FORMAT_UINT3, FORMAT_FLOAT3, FORMAT_FLOAT3X4_COLUMN_MAJOR = 0x5001, 0x5003, 0x9003, 0x9234
-SCENE_DYNAMIC, SCENE_COMPACT, SCENE_ROBUST = 1, 2, 4
-QUALITY_LOW, QUALITY_MEDIUM, QUALITY_HIGH, QUALITY_REFIT = 0, 1, 2, 3
-_RAY_MASK_SUPPORTED = 32  # RTC_DEVICE_PROPERTY_RAY_MASK_SUPPORTED
+SCENE_COMPACT, SCENE_ROBUST = 2, 4
+QUALITY_MEDIUM = 1
 
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "rtcNewDevice": (c_void_p, [c_char_p]),
     "rtcReleaseDevice": (None, [c_void_p]),
     "rtcGetDeviceError": (c_int, [c_void_p]),
-    "rtcGetDeviceLastErrorMessage": (c_char_p, [c_void_p]),
-    "rtcGetDeviceProperty": (ctypes.c_ssize_t, [c_void_p, c_int]),
     "rtcSetDeviceMemoryMonitorFunction": (None, [c_void_p, c_void_p, c_void_p]),
     "rtcNewScene": (c_void_p, [c_void_p]),
     "rtcReleaseScene": (None, [c_void_p]),
@@ -53,8 +50,6 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "rtcCommitGeometry": (None, [c_void_p]),
     "rtcAttachGeometry": (c_uint, [c_void_p, c_void_p]),
     "rtcSetGeometryMask": (None, [c_void_p, c_uint]),
-    "rtcSetGeometryBuildQuality": (None, [c_void_p, c_int]),
-    "rtcUpdateGeometryBuffer": (None, [c_void_p, c_int, c_uint]),
     "rtcSetSharedGeometryBuffer": (None, [c_void_p, c_int, c_uint, c_int, c_void_p, c_size_t, c_size_t, c_size_t]),
     "rtcSetGeometryInstancedScenes": (None, [c_void_p, c_void_p, c_size_t]),
     "rtcSetGeometryUserPrimitiveCount": (None, [c_void_p, c_uint]),
@@ -163,7 +158,6 @@ class Device:
         weakref.finalize(self, lib.rtcReleaseDevice, self.handle).atexit = False
         self._bytes = np.zeros(1, np.int64)
         lib.rtcSetDeviceMemoryMonitorFunction(self.handle, _count_bytes.address, self._bytes.ctypes.data)
-        self.has_masks = bool(lib.rtcGetDeviceProperty(self.handle, _RAY_MASK_SUPPORTED))
 
     @property
     def bytes(self) -> int:

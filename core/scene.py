@@ -219,7 +219,7 @@ class World:
     """Light from infinity.
 
     color: (3,) float32 radiance where there is no image.
-    image: (H, W, 3) float32 equirectangular radiance, rows bottom up, or None. Column 0.5 W looks along -Y... as Blender's Environment Texture does:
+    image: (H, W, 3) float32 equirectangular radiance, rows bottom up, or None. The middle column looks along -X:
     u = atan2(y, -x) / 2pi + 0.5, v = asin(z) / pi + 0.5 for a unit world direction (x, y, z).
     visibility: bit per RayType.
     """
