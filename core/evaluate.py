@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from .analysis import analyze
 from .budget import Budget
 from .culling import CullOptions, keep_distance, keep_frustum, keep_solid_angle
 from .judge import Judge
-from .loop import analyze
 from .oracle import retained, search
 from .progress import Progress, part, silent
 from .report import replacing

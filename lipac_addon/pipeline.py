@@ -114,7 +114,7 @@ def cull(
     cancelled: Callable[[], bool] = never,
 ) -> CullingResult:
     """Decide the states of an extracted frame, save them to the file `states`, and add the figures to the frame's entry."""
-    from ..core.loop import analyze
+    from ..core.analysis import analyze
 
     result = analyze(extraction.scene, options, progress, cancelled)
     entry |= result.stats

@@ -110,10 +110,10 @@ def rays(folder: Path) -> dict[str, Any]:
     library = _compiled(folder)
     if library is None:
         return {"skipped": "no C compiler (cc) here"}
+    from ..core.analysis import analyze
     from ..core.blas import BlasCache
     from ..core.culling import CullOptions
     from ..core.hitboxes import Hitboxes
-    from ..core.loop import analyze
     from ..core.tlas import Tlas
 
     scene = _city(100_000)
@@ -311,7 +311,7 @@ from lipac.lipac_addon.extract import extract_frame
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 start = time.perf_counter()
 scene = extract_frame(bpy.context.scene).scene
-from lipac.core.loop import analyze
+from lipac.core.analysis import analyze
 analyze(scene, CullOptions(width=16, paths=1))
 print("SECONDS", time.perf_counter() - start)
 """

@@ -147,7 +147,7 @@ class AnalysisJob:
 
     def _analyse(self, number: int, k: int) -> Any:
         """A frame; a generator like `_run` that returns its FrameResult."""
-        from ...core.loop import analyze
+        from ...core.analysis import analyze
 
         n = len(self._frames)
         name = f"frame {number}: " if n > 1 else ""
@@ -249,7 +249,7 @@ def _among(uids: Any, objects: set[bpy.types.Object]) -> Any:
 
 def _load_engine() -> None:
     """Import what the analysis needs: on another thread, for it takes seconds."""
-    from ...core import loop  # noqa: F401
+    from ...core import analysis  # noqa: F401
 
 
 running: AnalysisJob | None = None

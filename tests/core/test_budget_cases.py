@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from lipac.core import scene as s
+from lipac.core.analysis import analyze
 from lipac.core.budget import Budget, tile_means
 from lipac.core.culling import CullOptions
 from lipac.core.feedback import COLUMNS, ROWS
-from lipac.core.loop import Loop, analyze
+from lipac.core.loop import Loop
 
 from . import scenes
 

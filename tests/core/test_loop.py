@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lipac.core import scene as s
+from lipac.core.analysis import analyze
 from lipac.core.culling import CullOptions, State
 from lipac.core.errors import Cancelled
-from lipac.core.loop import analyze
 
 from . import scenes
 

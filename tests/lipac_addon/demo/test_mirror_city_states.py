@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from lipac.core.analysis import by_budget
 from lipac.core.budget import Budget
 from lipac.core.culling import CullOptions
 from lipac.core.feedback import Feedback
-from lipac.core.loop import CullingResult, Loop, by_budget
+from lipac.core.loop import CullingResult, Loop
 from lipac.core.scene import RayType
 
 States = tuple[CullingResult, Feedback]
