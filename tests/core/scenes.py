@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from lipac.core import scene as s
+from lipac.core.blas import BlasCache
+from lipac.core.film import Picture
+from lipac.core.tlas import Tlas
+from lipac.core.tracer import prepare, trace
 
 CUBE_POSITIONS = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)], np.float32)
 CUBE_TRIANGLES = np.array(
@@ -89,3 +93,32 @@ def build(
         film=s.Film(*size),
         limits=limits or s.PathLimits(),
     )
+
+
+def render(scene: s.Scene, samples: int, active: np.ndarray | None = None, **options: object) -> Picture:
+    """A picture of the active (N,) bool instances, all by default; options are those of `trace`."""
+    blas = BlasCache(scene.meshes)
+    active = np.ones(len(scene.instances), bool) if active is None else active
+    blas.need(scene.instances.mesh[active])
+    return trace(prepare(scene, blas), Tlas(scene.instances, blas, active), samples, **options)  # type: ignore[arg-type]
+
+
+def material(shader: s.Shader = s.Shader.DIFFUSE, **fields: object) -> s.Records:
+    """A MATERIAL record with other values of some fields."""
+    m = s.default_material()
+    m["shader"] = shader
+    for name, value in fields.items():
+        m[name] = value
+    return m
+
+
+def lamp(kind: s.LightKind, position: tuple[float, float, float] = (0, 0, 2), **fields: object) -> s.Records:
+    """A lamp of 100 W that shines down."""
+    light = np.zeros(1, s.LIGHT)
+    light["kind"], light["position"], light["power"] = kind, position, 100.0
+    light["axis_x"], light["axis_y"], light["axis_z"] = np.eye(3)
+    light["spread"], light["spot_size"], light["visibility"], light["size"] = np.pi, 1.5, s.ALL_RAYS & ~1, 1.0
+    light["cast_shadow"], light["normalize"], light["use_mis"], light["max_bounces"] = 1, 1, 1, 1024
+    for name, value in fields.items():
+        light[name] = value
+    return light
