@@ -66,6 +66,7 @@ from .lights import (
     triangle_density,
     world_density,
 )
+from .path_log import RECORD
 from .memory import f32_pointer, f64_pointer, i32_pointer, i64_pointer, load_u8, load_u32, u32_pointer, u64_pointer
 from .sampling import INNER, mix, normalize, path_key, power_heuristic, uniform2
 from .scene import RAY_TYPES, InstanceFlag, RayType, Shader
@@ -119,7 +120,7 @@ V_CLAMP_DIRECT, V_CLAMP_INDIRECT, V_FILTER_GLOSSY, V_EXPOSURE, V_WORLD, V_AMBIEN
 LIMITS = 9
 
 RAYS, PATHS = 0, 1  # stats, int64[2]
-_TILE, _VERTICES = 2, 3  # of a thread's own stats: coarse tile of the pixel, instances that the path has met so far
+_TILE, _VERTICES, _RECORD = 2, 3, 4  # of a thread's own stats: coarse tile of the pixel, how many instances the path has met, address of its record
 MAX_VERTICES = 64  # met by one path and weighed; what is met after them goes with the last
 
 _CAMERA, _DIFFUSE_RAY, _GLOSSY_RAY, _TRANSMISSION_RAY, _SHADOW = (int(t) for t in RayType)
@@ -155,6 +156,7 @@ class Scenery(NamedTuple):
     weights: Any
     tile_light: Any
     entries: Any
+    log: Any
     settings: Any
     limits: Any
 
@@ -203,14 +205,17 @@ class Scratch(NamedTuple):
     A_WEIGHTS,
     A_TILE_LIGHT,
     A_ENTRIES,
+    A_LOG,
+    A_LUMINANCE,
+    A_ONLY,
     A_SETTINGS,
     A_LIMITS,
     A_CAMERA,
     A_FILTER,
     A_SUMS,
     A_STATS,
-) = range(22)
-ADDRESSES = 22
+) = range(25)
+ADDRESSES = 25
 
 
 @njit(**INNER)
@@ -232,6 +237,7 @@ def _scenery(a):
         a[A_WEIGHTS],
         a[A_TILE_LIGHT],
         i32_pointer(a[A_ENTRIES]),
+        a[A_LOG],
         i64_pointer(a[A_SETTINGS]),
         f32_pointer(a[A_LIMITS]),
     )
@@ -345,12 +351,30 @@ def _worth(s, w, entry, luminance):
 
 
 @njit(**INNER)
+def _log(s, w, entry):
+    """Write a TLAS entry that the path met into the path's record (path_log.PathLog)."""
+    if s.log == np.uint64(0):
+        return
+    record = i32_pointer(np.uint64(w.stats[_RECORD]))
+    n = record[0]
+    if n == RECORD:
+        return
+    for k in range(1, n + 1):
+        if record[k] == entry:
+            return
+    if n + 1 < RECORD:
+        record[n + 1] = entry
+    record[0] = n + 1
+
+
+@njit(**INNER)
 def _remember(s, w, entry, tr, tg, tb):
     """Note a TLAS entry that the path meets for the first time: what it has gathered so far, and what it carries."""
     n = w.stats[_VERTICES]
     for k in range(n):
         if w.vertex[k] == entry:
             return
+    _log(s, w, entry)
     if n < MAX_VERTICES:
         w.vertex[n] = entry
         w.carried[2 * n] = _luminance(w.total[0], w.total[1], w.total[2])
@@ -408,6 +432,7 @@ def _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
         instance = np.int64(s.ids[entry])
         if watched:
             _met(s, instance, _SHADOW)
+            _log(s, w, entry)
         triangle = np.int64(load_u32(w.shadow_words, PRIM_ID))
         b1, b2 = w.shadow[HIT_U], w.shadow[HIT_V]
         mesh = mesh_record(s.meshes, s.table, instance)
@@ -523,6 +548,7 @@ def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transp
         _met(s, instance, _SHADOW)
         if s.weights != np.uint64(0) and s.entries[instance] >= 0:
             _worth(s, w, np.int64(s.entries[instance]), _luminance(w.radiance[0], w.radiance[1], w.radiance[2]))
+            _log(s, w, np.int64(s.entries[instance]))
     _add(s, w, w.radiance[0], w.radiance[1], w.radiance[2], bounce)
 
 
@@ -716,7 +742,10 @@ def _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def trace_tile(x0, y0, x1, y1, a):
-    """Trace all samples of the pixels [x0, x1) x [y0, y1); a: addresses, A_*. Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[2]."""
+    """Trace all samples of the pixels [x0, x1) x [y0, y1), or those paths that A_ONLY marks; a: addresses, A_*.
+
+    Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[2]; writes the luminance of each path to A_LUMINANCE where that is given.
+    """
     s = _scenery(a)
     work = np.empty(_WORK + 16, np.uint8)
     w = _scratch((np.uint64(work.ctypes.data) + np.uint64(15)) & ~np.uint64(15))
@@ -727,21 +756,31 @@ def trace_tile(x0, y0, x1, y1, a):
     sums = f32_pointer(a[A_SUMS])
     seed = np.uint64(s.settings[I_SEED])
     exposure = s.limits[V_EXPOSURE]
+    samples = s.settings[I_SAMPLES]
+    luminance = f32_pointer(a[A_LUMINANCE])
+    paths = 0
     for y in range(y0, y1):
         for x in range(x0, x1):
             w.stats[_TILE] = (y * ROWS // height) * COLUMNS + x * COLUMNS // width
             r = g = b = t = _ZERO
-            for sample in range(s.settings[I_FIRST_SAMPLE], s.settings[I_FIRST_SAMPLE] + s.settings[I_SAMPLES]):
-                key = path_key(seed, np.uint64(y * width + x), np.uint64(sample))
+            for k in range(samples):
+                path = (y * width + x) * samples + k
+                if a[A_ONLY] != np.uint64(0) and load_u8(a[A_ONLY], path) == 0:
+                    continue
+                paths += 1
+                key = path_key(seed, np.uint64(y * width + x), np.uint64(s.settings[I_FIRST_SAMPLE] + k))
                 f0, f1 = uniform2(key, _FILTER)
                 l0, l1 = uniform2(key, _LENS)
                 u = (np.float32(x) + np.float32(0.5) + filter_offset(pixel_filter, f0)) / np.float32(width)
                 v = (np.float32(y) + np.float32(0.5) + filter_offset(pixel_filter, f1)) / np.float32(height)
                 ox, oy, oz, dx, dy, dz, far = camera_ray(camera, u, v, l0, l1)
                 w.stats[_VERTICES] = 0
+                w.stats[_RECORD] = np.int64(s.log + np.uint64(4 * RECORD) * np.uint64(path))
                 _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far)
                 if s.weights != np.uint64(0):
                     _settle(s, w)
+                if a[A_LUMINANCE] != np.uint64(0):
+                    luminance[path] = _luminance(w.total[0], w.total[1], w.total[2])
                 r += w.total[0]
                 g += w.total[1]
                 b += w.total[2]
@@ -750,8 +789,7 @@ def trace_tile(x0, y0, x1, y1, a):
             sums[i] += r * exposure
             sums[i + 1] += g * exposure
             sums[i + 2] += b * exposure
-            sums[i + 3] += np.float32(s.settings[I_SAMPLES]) - t
-    paths = (x1 - x0) * (y1 - y0) * s.settings[I_SAMPLES]
+            sums[i + 3] += np.float32(samples) - t
     atomic_add_int64(a[A_STATS] + np.uint64(8 * RAYS), w.stats[RAYS])
     atomic_add_int64(a[A_STATS] + np.uint64(8 * PATHS), paths)
     return work[0]  # keeps the work space alive until here

@@ -21,6 +21,7 @@ from .hitboxes import ALL_CROSSINGS
 from .lamps import FAR
 from .lights import Lights, emissive_instances
 from .memory import address
+from .path_log import PathLog
 from .progress import Progress, silent
 from .scene import F32, Instances, Scene, Shader
 from .shading import SceneTable
@@ -83,6 +84,8 @@ def trace(
     progress: Progress = silent,
     cancelled: Callable[[], bool] | None = None,
     strategy: int = kernel.BOTH,
+    log: PathLog | None = None,
+    only: NDArray[np.uint8] | None = None,
 ) -> Picture:
     """Trace samples paths per pixel through the instances in tlas.
 
@@ -90,6 +93,7 @@ def trace(
     feedback: hits and box crossings are added to it; nearest: boxes counted per segment (hitboxes.ALL_CROSSINGS: every one); hitbox_every: count boxes on
     one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled between tiles; where it
     says True the picture is returned as far as it is. strategy: path_kernel.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
+    log: gets the luminance of each path, and, where feedback is given, what the path met. only: (H, W, samples) uint8, trace those paths that are not 0.
     """
     scene = prepared.scene
     width, height = size or (scene.film.width, scene.film.height)
@@ -99,6 +103,11 @@ def trace(
     if feedback is not None and feedback.weights is not None:
         limits[kernel.V_AMBIENT], limits[kernel.V_UNITS] = feedback.weights.ambient, 1 / feedback.weights.unit
     addresses = _addresses(prepared, tlas, feedback, settings, limits, sums, stats)
+    if log is not None:
+        addresses[kernel.A_LUMINANCE] = address(log.luminance)
+        addresses[kernel.A_LOG] = address(log.records) if feedback is not None else 0
+    if only is not None:
+        addresses[kernel.A_ONLY] = address(only)
     tiles = [(x, y, min(x + TILE, width), min(y + TILE, height)) for y in range(0, height, TILE) for x in range(0, width, TILE)]
     stop = threading.Event()
 

@@ -1,0 +1,48 @@
+"""What each path of a trace met, and how bright it came out: so that a scene without some instances is traced again only where it can differ.
+
+A path that met nothing of what is culled takes the same course without it, bit for bit: random numbers belong to the path, and nothing else is in its way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .scene import F32, I32
+
+RECORD = 16  # int32 per path, a line of the cache: how many entries it met, then the entries; a path that met more counts as one that met everything
+
+
+@dataclass(frozen=True)
+class PathLog:
+    """records: (H, W, S, RECORD) int32, count and TLAS entries met by each of S paths per pixel; luminance: (H, W, S) float32 of each path."""
+
+    records: I32
+    luminance: F32
+
+    @staticmethod
+    def zeros(height: int, width: int, samples: int) -> PathLog:
+        """Nothing traced yet."""
+        return PathLog(np.zeros((height, width, samples, RECORD), np.int32), np.zeros((height, width, samples), np.float32))
+
+    def affected(self, culled: np.ndarray) -> NDArray[np.uint8]:
+        """1 for each path that met one of the culled TLAS entries, (A,) bool, or more than its record holds: (H, W, S) uint8."""
+        out = np.zeros(self.luminance.shape, np.uint8)
+        _mark(self.records.reshape(-1, RECORD), np.append(culled, False), out.reshape(-1))
+        return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mark(records, culled, out):
+    """out[p] = 1 where records[p] holds a culled entry or is over-full."""
+    for p in range(len(records)):
+        count = records[p, 0]
+        if count == RECORD:
+            out[p] = 1
+        for k in range(1, min(count + 1, RECORD)):
+            if culled[records[p, k]]:
+                out[p] = 1
+                break
