@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import sys
 import time
@@ -27,13 +28,27 @@ def user_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "lipac"
 
 
+def kernel_sources(core: Path) -> list[Path]:
+    """Modules of the folder core that compile kernels, and all that these import from it: their constants become part of the kernels. Sorted."""
+    text = {path.stem: path.read_text() for path in core.glob("*.py")}
+    found: set[str] = set()
+    pending = [name for name, source in text.items() if re.search(r"^(import|from) numba", source, re.MULTILINE)]
+    while pending:
+        name = pending.pop()
+        if name in text and name not in found:
+            found.add(name)
+            for several, one in re.findall(r"^from \.(?: import (.+)|(\w+) import)", text[name], re.MULTILINE):
+                pending += [one] if one else [part.split()[0] for part in several.split(",")]
+    return [core / f"{name}.py" for name in sorted(found)]
+
+
 def use(folder: Path | None = None) -> Path | None:
     """Have numba keep compiled kernels under folder (default `user_cache()`), in a subfolder for these sources. Returns it, None where it cannot be written.
 
     Must run before kernels are defined. Without a folder to write to, numba falls back to its own choice.
     """
     sources = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in kernel_sources(Path(__file__).parent):
         sources.update(path.read_bytes())
     parent = folder or user_cache()
     cache = parent / f"kernels-{sys.version_info[0]}.{sys.version_info[1]}-{sources.hexdigest()[:12]}"

@@ -48,6 +48,12 @@ def test_changed_sources_use_another_folder(tmp_path: Path, monkeypatch: pytest.
     assert after.exists()
 
 
+def test_what_kernels_do_not_use_is_no_source_of_theirs() -> None:
+    names = {path.stem for path in kernel_cache.kernel_sources(Path(lipac.core.__file__).parent)}
+    assert {"path_kernel", "bsdf", "feedback", "scene", "blas"} <= names  # feedback has no kernel, but constants of kernels
+    assert not {"loop", "analysis", "culling", "report"} & names
+
+
 def test_a_folder_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
     blocker = tmp_path / "file"
     blocker.write_text("")
