@@ -25,11 +25,16 @@ def analyze(
 
     Raises Cancelled where cancelled() says so, MemoryError where Embree runs out.
     """
-    loop = Loop(scene, options, cancelled, pinned=pinned)
+    return decide(Loop(scene, options, cancelled, pinned=pinned), progress)
+
+
+def decide(loop: Loop, progress: Progress = silent) -> CullingResult:
+    """Decide the frame that a loop stands at, cold or advanced to."""
+    scene, options = loop.scene, loop.options
     if options.policy != "light-paths":
         n = len(scene.instances)
         return loop.result(heuristic(scene, options) & loop.exists, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
-    loop.cold_start(part(progress, 0.0, 0.5, "light paths ask for geometry, "))
+    loop.run(part(progress, 0.0, 0.5, "light paths ask for geometry, "))
     if options.min_share is not None:
         return by_counts(loop, options.min_share, part(progress, 0.5, 1.0, "measuring, "))
     return by_budget(loop, options.max_error, part(progress, 0.5, 1.0))

@@ -37,6 +37,10 @@ class CullOptions:
     paths meets it. paths: per pixel, for the measurement of both.
     width: of the analysis picture in pixels (its height follows the film). nearest: boxes of a ray that are counted at a cold start;
     hitbox_every: on one path in so many.
+
+    Over the frames of a shot: hysteresis: how many times less than what is newly kept an instance must be worth to be culled again, 1 for none; mitigation:
+    large instances that come into view are active at once. blas_budget_ms: milliseconds of BLAS building per frame, the rest is done in later frames;
+    blas_budget_bytes: of all BLASes together; 0: no limit, as a final render wants it.
     """
 
     policy: str = "light-paths"
@@ -50,6 +54,10 @@ class CullOptions:
     nearest: int = 4
     hitbox_every: int = 1
     max_iterations: int = 64
+    hysteresis: float = 2.0
+    mitigation: bool = True
+    blas_budget_ms: float = 0.0
+    blas_budget_bytes: int = 0
     seed: int = 0
     threads: int = 0
 

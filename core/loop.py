@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .blas import BlasCache
+from .change import Change
 from .culling import CullOptions, State
 from .embree import Device, shared_device
 from .errors import Cancelled
@@ -85,22 +86,38 @@ class Loop:
         pinned: np.ndarray | None = None,
     ) -> None:
         """cancelled: polled during long work; where it says True, `Cancelled` is raised. device: Embree's, shared by default. pinned: as in `analyze`."""
-        self.scene, self.options = scene, options
-        self.cancelled = cancelled or (lambda: False)
+        self.options = options
         self.device = device or shared_device(options.threads)
+        self.active = np.zeros(len(scene.instances), bool)
+        self.kept = np.zeros(len(scene.instances), bool)  # what the frame before kept
+        self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
+        self._enter(scene, cancelled, pinned)
+
+    def advance(self, scene: Scene, change: Change, cancelled: Callable[[], bool] | None = None, pinned: np.ndarray | None = None) -> None:
+        """Go on to the next frame: what was active and kept is so again, whatever has changed is read and built anew when it is needed."""
+        if change.previous is not None:
+            known = change.previous >= 0
+            self.active = known & self.active[change.previous]
+            self.kept = known & self.kept[change.previous]
+        self._enter(scene, cancelled, pinned)
+
+    def _enter(self, scene: Scene, cancelled: Callable[[], bool] | None, pinned: np.ndarray | None) -> None:
+        """Begin a frame."""
+        self.scene = scene
+        self.cancelled = cancelled or (lambda: False)
         self.timer = _Timer()
+        start = time.perf_counter()
         self.blas = BlasCache(scene.meshes, self.device)
         instances = scene.instances
         # What has no extent to meet takes no part: no triangles, or a transform that is not finite.
         self.exists = (instances.bounds[:, 0] <= instances.bounds[:, 1]).all(axis=1) & np.isfinite(instances.bounds).all(axis=(1, 2))
         self.pinned = np.zeros(len(instances), bool) if pinned is None else pinned & self.exists
-        self.active = self.pinned.copy()
-        self.rounds = self.paths = self.rays = self.next_sample = 0
+        self.active = (self.active & self.exists) | self.pinned
+        self.rounds = self.paths = self.rays = 0
+        self.next_sample = self.options.paths  # a measurement has the first ones, in every frame the same: what did not change measures the same
         self.measured: Measurement | None = None
-        self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
-        height = max(1, round(options.width * scene.film.height / scene.film.width))
-        self.size = (min(options.width, scene.film.width), min(height, scene.film.height))
-        start = time.perf_counter()
+        height = max(1, round(self.options.width * scene.film.height / scene.film.width))
+        self.size = (min(self.options.width, scene.film.width), min(height, scene.film.height))
         self.regions = Regions(instances.bounds, np.flatnonzero(self.exists))
         self.prepared = prepare(scene, self.blas)
         self.timer.add("build_s", start)
@@ -132,10 +149,16 @@ class Loop:
 
         Returns feedback and the mean picture.
         """
+        first_sample, self.next_sample = self.next_sample, self.next_sample + samples
+        return self._counted(tlas, samples, first_sample, boxes, weights, progress, size or self.size)
+
+    def _counted(
+        self, tlas: Tlas, samples: int, first_sample: int, boxes: Hitboxes | None, weights: Weights | None, progress: Progress, size: tuple[int, int]
+    ) -> tuple[Feedback, F32]:
+        """Feedback and mean picture of the samples from first_sample on."""
         start = time.perf_counter()
         feedback = Feedback.zeros(len(self.scene.instances), boxes, weights)
-        picture = self._trace(self.prepared, tlas, samples, self.next_sample, feedback, progress, size or self.size)
-        self.next_sample += samples
+        picture = self._trace(self.prepared, tlas, samples, first_sample, feedback, progress, size)
         self.paths += picture.paths
         self.rays += picture.rays
         feedback.paths = picture.paths
@@ -146,9 +169,8 @@ class Loop:
         """Hits and weights of the instances in tlas (default: the active ones), by the number of paths per pixel that the options ask for."""
         tlas = tlas or self.build(self.active)
         weights = Weights.zeros(len(self.active), tlas.ids, self.ambient)
-        first_sample = self.next_sample
-        feedback, picture = self.trace(tlas, self.options.paths, boxes, weights, progress)
-        return Measurement(tlas, feedback, weights, picture, first_sample)
+        feedback, picture = self._counted(tlas, self.options.paths, 0, boxes, weights, progress, self.size)
+        return Measurement(tlas, feedback, weights, picture, 0)
 
     def trace_again(self, keep: np.ndarray, first_sample: int, samples: int, progress: Progress = silent) -> F32:
         """The mean picture with only keep (N,) bool in the scene, by the same random numbers as a trace that began at first_sample.
@@ -207,10 +229,10 @@ class Loop:
             raise Cancelled
         return picture
 
-    def cold_start(self, progress: Progress = silent) -> None:
-        """Rounds from nothing built, until no box is asked for any more: coarse ones, of few paths, then ones that measure; the last leaves `measured`."""
+    def run(self, progress: Progress = silent) -> None:
+        """Rounds until no box is asked for any more, the last of which leaves `measured`. Where nothing is known yet coarse ones, of few paths, come first."""
         coarse_size = (max(self.size[0] // 2, 1), max(self.size[1] // 2, 1))
-        coarse = True
+        coarse = self.ambient == 0.0
         while self.rounds < self.options.max_iterations:
             self.rounds += 1
             progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.active.sum()):,} of {len(self.active):,} instances active")
@@ -242,7 +264,7 @@ class Loop:
 
     def result(self, keep: np.ndarray, score: F32, hits: I64, **figures: float | int) -> CullingResult:
         """States for keep (N,) bool, with the final structures built and counted; figures go into the stats."""
-        keep = keep | self.pinned
+        keep = self.kept = keep | self.pinned
         tlas = self.build(keep)
         self.blas.keep_only(self.scene.instances.mesh[keep])
         start = time.perf_counter()

@@ -30,11 +30,12 @@ def states() -> States:
     render.resolution_x, render.resolution_y, render.resolution_percentage = 48, 27, 100
     scene = extract_frame(bpy.context.scene, 1).scene
     loop = Loop(scene, CullOptions(width=48, paths=ANALYSIS))
-    loop.cold_start()
-    loop.measured, loop.next_sample = None, 0  # measured anew, among the samples of the brute-force run
+    loop.run()
+    loop.measured = None  # measured anew, by the first samples of the brute-force run
     result = by_budget(loop, Budget(0.0, 0.0))
     brute = Loop(scene, CullOptions(width=48))
     brute.active = brute.exists.copy()
+    brute.next_sample = 0
     feedback, _ = brute.trace(brute.build(brute.active), PATHS)
     return result, feedback
 

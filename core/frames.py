@@ -1,0 +1,60 @@
+"""The loop over the frames of a shot: what one frame found out is where the next one begins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .analysis import decide
+from .change import Change
+from .culling import CullOptions
+from .embree import Device
+from .loop import CullingResult, Loop
+from .progress import Progress, silent
+from .scene import Scene
+
+
+class Shot:
+    """Culling over the frames of a shot, one `advance` per frame.
+
+    Each frame starts with what the frame before it needed. Light paths ask for what is missing, and rounds are repeated until no more is asked for (at most
+    `CullOptions.max_iterations` of them: with 1, what a frame asks for takes effect in the next). So a frame's states are those of a fresh start of that
+    frame, up to hysteresis: an instance that was kept stays until it is worth clearly less than what is kept for the first time (`analysis`).
+
+    Frames need not be consecutive; without a `Change` (the first frame, another file, a jump) a frame is a fresh start. What is not in the scene any more, and
+    what paths do not ask for, is freed; geometry is read from `Scene.meshes` only where it is needed, on the calling thread.
+
+    loop: the loop of the last frame, None before the first.
+    """
+
+    def __init__(self, options: CullOptions, device: Device | None = None) -> None:
+        """device: Embree's, shared by default."""
+        self.options = options
+        self.device = device
+        self.loop: Loop | None = None
+
+    def advance(
+        self,
+        scene: Scene,
+        change: Change | None = None,
+        progress: Progress = silent,
+        cancelled: Callable[[], bool] | None = None,
+        pinned: np.ndarray | None = None,
+    ) -> CullingResult:
+        """Decide which instances of the next frame stay.
+
+        scene: the frame; where an array did not change it may be the same object as in the last frame, and where geometry did not, the same meshes by index.
+        change: how scene differs from the scene of the last call; None for a fresh start. pinned: (N,) bool, instances that stay whatever paths meet.
+        The result's stats hold the frame's own figures: seconds, builds, rays of this call alone.
+
+        Raises Cancelled where cancelled() says so (the next call then needs no Change: it starts afresh), MemoryError where Embree runs out.
+        """
+        loop, self.loop = self.loop, None
+        if loop is None or change is None:
+            loop = Loop(scene, self.options, cancelled, self.device, pinned)
+        else:
+            loop.advance(scene, change, cancelled, pinned)
+        result = decide(loop, progress)
+        self.loop = loop
+        return result
