@@ -45,6 +45,18 @@ def _address(array: np.ndarray | None) -> int:
     return 0 if array is None else array.ctypes.data
 
 
+def loaded(source: Mesh) -> tuple[Mesh, tuple[int, ...]]:
+    """A mesh whose arrays Embree and the kernels can read in place, and its record (MESH): valid while the mesh lives."""
+    mesh = Mesh(
+        _padded(source.positions),
+        np.ascontiguousarray(source.triangles, np.uint32),
+        None if source.normals is None else np.ascontiguousarray(source.normals, np.float32),
+        None if source.uvs is None else np.ascontiguousarray(source.uvs, np.float32),
+        None if source.slots is None else np.ascontiguousarray(source.slots, np.uint16),
+    )
+    return mesh, (*map(_address, (mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.slots)), len(mesh.triangles))
+
+
 class BlasCache:
     """The meshes of a scene that are loaded and built.
 
@@ -91,14 +103,7 @@ class BlasCache:
             self.scenes[index] = self.bytes_of[index] = 0
 
     def _build(self, index: int) -> None:
-        source = self._meshes[index]
-        mesh = Mesh(
-            _padded(source.positions),
-            np.ascontiguousarray(source.triangles, np.uint32),
-            None if source.normals is None else np.ascontiguousarray(source.normals, np.float32),
-            None if source.uvs is None else np.ascontiguousarray(source.uvs, np.float32),
-            None if source.slots is None else np.ascontiguousarray(source.slots, np.uint16),
-        )
+        mesh, record = loaded(self._meshes[index])
         device, lib = self.device, embree.lib
         geometry = lib.rtcNewGeometry(device.handle, embree.GEOMETRY_TRIANGLE)
         if len(mesh.triangles):
@@ -113,4 +118,4 @@ class BlasCache:
         blas.bytes = device.commit(scene, blas, f"build the BLAS of mesh {index} with {len(mesh.triangles):,} triangles")
         self._built[index] = blas
         self.scenes[index], self.bytes_of[index] = scene, blas.bytes
-        self.table[index] = (*map(_address, (mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.slots)), len(mesh.triangles))
+        self.table[index] = record

@@ -20,13 +20,15 @@ class Picture:
     """Sums over samples of one `trace` call.
 
     sums: (H, W, 4) float32, linear radiance times exposure and alpha, added over `samples` samples; rows bottom up, as in Blender.
-    samples: per pixel. paths, rays: counts of camera paths, and of rays traced in all.
+    samples: per pixel. paths, rays: counts of camera paths, and of rays traced in all. parts: (H, W, path_kernel.PARTS) float32, sums of parts of the light,
+    where paths started at given hits.
     """
 
     sums: F32
     samples: int
     paths: int
     rays: int
+    parts: F32 | None = None
 
     @property
     def mean(self) -> F32:

@@ -105,14 +105,14 @@ def _cross(arguments):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_crossings(hitboxes, counters, query, ray, far, ray_type, nearest):
-    """Count the boxes that a segment crosses.
+    """Count the boxes that a segment crosses. Returns how many were counted, or 0 where every one is.
 
     hitboxes: uint64 handle (`Hitboxes.handle`), 0 for none; counters: int64 (H, RAY_TYPES), added to atomically; query: int64[QUERY] scratch of this
     thread, 16-byte aligned, as NumPy and numba allocate; ray: float32[RAY], origin and direction are read, nothing is changed; far: end of the
     segment, in lengths of the direction; ray_type: column; nearest: only that many boxes, in order of entry (at most MAX_NEAREST), ALL_CROSSINGS for every one.
     """
     if hitboxes == 0:
-        return
+        return np.int64(0)
     probe = query.view(np.float32)[2 * _RAY :]
     for i in range(RAY):
         probe[i] = ray[i]
@@ -134,6 +134,7 @@ def count_crossings(hitboxes, counters, query, ray, far, ray_type, nearest):
     intersect_with(hitboxes, probe, np.uint64(query.ctypes.data + 8 * _ARGUMENTS))
     for i in range(query[_FOUND]):
         atomic_add_int64(np.uint64(query[_COUNTERS]) + np.uint64(8 * (query[_IDS + i] * RAY_TYPES + ray_type)), 1)
+    return query[_FOUND]
 
 
 class Hitboxes:
@@ -163,7 +164,8 @@ class Hitboxes:
         scene = device.new_scene(embree.SCENE_ROBUST)
         lib.rtcAttachGeometry(scene, geometry)
         lib.rtcReleaseGeometry(geometry)
-        self.bytes = device.commit(scene, self, f"build {len(bounds):,} hitboxes") + self.bounds.nbytes
+        device.own(scene, self)
+        self.bytes = device.commit(scene, f"build {len(bounds):,} hitboxes") + self.bounds.nbytes
         self.handle = np.uint64(scene)
 
     def __len__(self) -> int:

@@ -2,6 +2,7 @@
 
 Paths follow Cycles' rules: what counts as which bounce, where a path ends, what is weighed against what (kernel/integrator/path_state.h, shade_surface.h).
 At every vertex one light is sampled and one direction; both are weighed by the power heuristic (Veach 1997).
+Where a raster has found the first hits (core.primary), paths start at these instead of with a camera ray, and their light is also summed by parts.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ from .lights import (
     triangle_density,
     world_density,
 )
+from .memory import f32_pointer, f64_pointer, i32_pointer, i64_pointer, load_f32, load_i32, load_u8, load_u32, u32_pointer, u64_pointer
 from .path_log import RECORD
-from .memory import f32_pointer, f64_pointer, i32_pointer, i64_pointer, load_u8, load_u32, u32_pointer, u64_pointer
 from .sampling import INNER, mix, normalize, path_key, power_heuristic, uniform2
 from .scene import RAY_TYPES, InstanceFlag, RayType, Shader
 from .shading import (
@@ -119,6 +120,14 @@ BOTH, LIGHT_ONLY, BSDF_ONLY = 0, 1, 2  # I_STRATEGY: for tests, all agree in the
 V_CLAMP_DIRECT, V_CLAMP_INDIRECT, V_FILTER_GLOSSY, V_EXPOSURE, V_WORLD, V_AMBIENT, V_UNITS = 0, 1, 2, 3, 4, 7, 8
 LIMITS = 9
 
+# Parts of the light of paths that start at raster hits, float32[PARTS] per pixel. Emission and background seen at the first hit; light of lamps from their own
+# sampling or from the path's next ray at the first hit, free of what is built: without (CLEAR) and with (MAYBE) boxes of culled instances on the way. Then the
+# luminance of light sampling alone at the first hit: clear, maybe, and denied by what is built (BLOCKED).
+STRAIGHT, CLEAR, MAYBE, SAMPLED_CLEAR, SAMPLED_MAYBE, SAMPLED_BLOCKED = 0, 3, 6, 9, 10, 11
+PARTS = 12
+_NO_PART = -1
+_PARTS_AT = 4  # in Scratch.total
+
 RAYS, PATHS = 0, 1  # stats, int64[2]
 _TILE, _VERTICES, _RECORD = 2, 3, 4  # of a thread's own stats: coarse tile of the pixel, how many instances the path has met, address of its record
 MAX_VERTICES = 64  # met by one path and weighed; what is met after them goes with the last
@@ -157,6 +166,10 @@ class Scenery(NamedTuple):
     tile_light: Any
     entries: Any
     log: Any
+    primary_meshes: Any
+    boxes: Any
+    box_counters: Any
+    box_count: Any
     settings: Any
     limits: Any
 
@@ -208,14 +221,20 @@ class Scratch(NamedTuple):
     A_LOG,
     A_LUMINANCE,
     A_ONLY,
+    A_PRIMARY,
+    A_PRIMARY_MESHES,
+    A_PARTS,
+    BOXES,
+    A_BOX_COUNTERS,
+    N_BOXES,
     A_SETTINGS,
     A_LIMITS,
     A_CAMERA,
     A_FILTER,
     A_SUMS,
     A_STATS,
-) = range(25)
-ADDRESSES = 25
+) = range(31)
+ADDRESSES = 31
 
 
 @njit(**INNER)
@@ -238,6 +257,10 @@ def _scenery(a):
         a[A_TILE_LIGHT],
         i32_pointer(a[A_ENTRIES]),
         a[A_LOG],
+        a[A_PRIMARY_MESHES],
+        a[BOXES],
+        a[A_BOX_COUNTERS],
+        a[N_BOXES],
         i64_pointer(a[A_SETTINGS]),
         f32_pointer(a[A_LIMITS]),
     )
@@ -320,7 +343,7 @@ def _entry(s, words):
 @njit(**INNER)
 def _count_boxes(hitboxes, counters, length, query, words, far, ray_type, nearest):
     """`count_crossings` of what lies at addresses."""
-    count_crossings(
+    return count_crossings(
         hitboxes,
         carray(pointer(counters), (np.int64(length), RAY_TYPES), np.int64),
         carray(pointer(query), (QUERY,), np.int64),
@@ -394,8 +417,8 @@ def _settle(s, w):
 
 
 @njit(**INNER)
-def _add(s, w, r, g, b, bounce):
-    """Add a contribution to the path's total, clamped as Cycles does; bounce: how many bounces lie before the light's last one."""
+def _add(s, w, r, g, b, bounce, part):
+    """Add a contribution to the path's total, and to a part of it, clamped as Cycles does; bounce: how many bounces lie before the light's last one."""
     total = abs(r) + abs(g) + abs(b)
     limit = s.limits[V_CLAMP_INDIRECT] if bounce > 0 else s.limits[V_CLAMP_DIRECT]
     if not total < FAR:  # also NaN
@@ -404,6 +427,16 @@ def _add(s, w, r, g, b, bounce):
     w.total[0] += r * f
     w.total[1] += g * f
     w.total[2] += b * f
+    if part != _NO_PART:
+        w.total[_PARTS_AT + part] += r * f
+        w.total[_PARTS_AT + part + 1] += g * f
+        w.total[_PARTS_AT + part + 2] += b * f
+
+
+@njit(**INNER)
+def _may_be_blocked(s, w, words, far):
+    """Whether a box of what is culled lies on the ray at address words, before far."""
+    return s.boxes != np.uint64(0) and _count_boxes(s.boxes, s.box_counters, s.box_count, w.query, words, far, _SHADOW, 1) > 0
 
 
 @njit(**INNER)
@@ -487,8 +520,9 @@ def _world(s, dx, dy, dz):
 
 
 @njit(**INNER)
-def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transparent_bounce, count):
-    """Sample one light from the point in w.surf, w.frame and w.closure, seen with throughput (tr, tg, tb), and add what arrives."""
+def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transparent_bounce, count, first):
+    """Sample one light from the point in w.surf, w.frame and w.closure, seen with throughput (tr, tg, tb), and add what arrives. first: of a raster hit, where
+    light of lamps is also summed by parts."""
     px, py, pz = w.surf[0], w.surf[1], w.surf[2]
     nx, ny, nz = w.frame[F_N], w.frame[F_N + 1], w.frame[F_N + 2]
     light = w.light
@@ -533,6 +567,9 @@ def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transp
     w.radiance[2] *= tb * fb * f
     if not (w.radiance[0] > _ZERO or w.radiance[1] > _ZERO or w.radiance[2] > _ZERO):
         return
+    sorted_out = first and 0 <= kind < INSTANCE  # a lamp
+    unshadowed = _luminance(w.radiance[0], w.radiance[1], w.radiance[2])
+    part = CLEAR if sorted_out else _NO_PART
     if shadowed:
         ox, oy, oz = shadow_origin(mesh, m, triangle, w.surf, w.frame, dx, dy, dz)
         far = FAR
@@ -543,18 +580,29 @@ def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transp
         elif t < FAR:
             dx, dy, dz, far = normalize(px + t * dx - ox, py + t * dy - oy, pz + t * dz - oz)
         if not _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
+            if sorted_out:
+                w.total[_PARTS_AT + SAMPLED_BLOCKED] += unshadowed
             return
+        if sorted_out:
+            _set_ray(w.shadow, w.shadow_words, ox, oy, oz, dx, dy, dz, far, _SHADOW)
+            if _may_be_blocked(s, w, w.shadow_words, far):
+                part = MAYBE
+    if sorted_out:
+        arriving = _luminance(w.radiance[0], w.radiance[1], w.radiance[2])
+        w.total[_PARTS_AT + (SAMPLED_MAYBE if part == MAYBE else SAMPLED_CLEAR)] += arriving
+        w.total[_PARTS_AT + SAMPLED_BLOCKED] += unshadowed - arriving
     if instance >= 0 and s.feedback != np.uint64(0):
         _met(s, instance, _SHADOW)
         if s.weights != np.uint64(0) and s.entries[instance] >= 0:
             _worth(s, w, np.int64(s.entries[instance]), _luminance(w.radiance[0], w.radiance[1], w.radiance[2]))
             _log(s, w, np.int64(s.entries[instance]))
-    _add(s, w, w.radiance[0], w.radiance[1], w.radiance[2], bounce)
+    _add(s, w, w.radiance[0], w.radiance[1], w.radiance[2], bounce, part)
 
 
 @njit(**INNER)
-def _lamps_seen(s, w, ox, oy, oz, dx, dy, dz, far, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before):
-    """Add the lamps whose shapes a ray meets before far. mis: weigh against light sampling from p with normal n, `before` further back along the ray."""
+def _lamps_seen(s, w, ox, oy, oz, dx, dy, dz, far, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before, part):
+    """Add the lamps whose shapes a ray meets before far. mis: weigh against light sampling from p with normal n, `before` further back along the ray. part: of
+    the light where no box of what is culled lies before the lamp."""
     for i in range(np.int64(s.lights[L_LAMPS])):
         k = f32_pointer(s.lamps + np.uint64(4 * LAMP) * np.uint64(i))
         if np.int64(k[24]) & (1 << ray_type) == 0 or (ray_type != _CAMERA and k[26] == _ZERO):
@@ -570,13 +618,38 @@ def _lamps_seen(s, w, ox, oy, oz, dx, dy, dz, far, tr, tg, tb, ray_type, bounce,
                 continue
             if s.settings[I_STRATEGY] == BOTH:
                 f *= power_heuristic(pdf, lamp_density(s.lights, s.lamps, s.nodes, s.children, i, px, py, pz, nx, ny, nz, dx, dy, dz, t + before))
-        _add(s, w, tr * k[13] * f, tg * k[14] * f, tb * k[15] * f, bounce - 1)
+        to = part
+        if part == CLEAR and _may_be_blocked(s, w, w.ray_words, t):
+            to = MAYBE
+        _add(s, w, tr * k[13] * f, tg * k[14] * f, tb * k[15] * f, bounce - 1, to)
 
 
 @njit(**INNER)
-def _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far):
-    """Trace one path from a camera ray; its radiance goes into w.total[0:3], how much of the pixel is transparent into w.total[3]."""
-    w.total[0] = w.total[1] = w.total[2] = w.total[3] = _ZERO
+def _start(s, w, record, ox, oy, oz, dx, dy, dz):
+    """The hit that a raster found on the ray from o along d, into w.ray as if traced; its instance, or -1. record: address of a primary.HIT."""
+    instance = np.int64(load_i32(record, 0))
+    if instance < 0:
+        return instance
+    triangle, b1, b2 = load_u32(record, 1), load_f32(record, 2), load_f32(record, 3)
+    mesh = mesh_record(s.primary_meshes, s.table, instance)
+    interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), np.int64(triangle), b1, b2, w.surf, w.frame)
+    w.ray[TFAR] = max((w.surf[0] - ox) * dx + (w.surf[1] - oy) * dy + (w.surf[2] - oz) * dz, _ZERO)
+    w.ray[HIT_U] = b1
+    w.ray[HIT_V] = b2
+    u32_pointer(w.ray_words)[PRIM_ID] = triangle
+    return instance
+
+
+@njit(**INNER)
+def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
+    """Trace one path from a camera ray; its radiance goes into w.total[0:3], how much of the pixel is transparent into w.total[3], its parts behind that.
+
+    record: address of what a raster found on the camera ray (primary.HIT), 0 to trace it.
+    """
+    first = record != np.uint64(0)  # at the raster's hit
+    second = False  # on the ray that left it
+    for k in range(_PARTS_AT + PARTS if first else _PARTS_AT):
+        w.total[k] = _ZERO
     tr = tg = tb = _ONE
     bounce = diffuse = glossy = transmission = transparent = np.int64(0)
     ray_type = np.int64(_CAMERA)
@@ -598,15 +671,25 @@ def _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far):
     dimension = np.uint64(0)
     while True:
         _set_ray(w.ray, w.ray_words, ox, oy, oz, dx, dy, dz, far, ray_type)
-        w.stats[RAYS] += 1
-        hit = _intersect(s.tlas, w.ray_words)
+        instance = np.int64(-1)
+        if first:
+            instance = _start(s, w, record, ox, oy, oz, dx, dy, dz)
+            hit = instance >= 0
+        else:
+            w.stats[RAYS] += 1
+            hit = _intersect(s.tlas, w.ray_words)
         t = w.ray[TFAR] if hit else far
-        if count:
+        part = np.int64(_NO_PART)
+        if record != np.uint64(0):
+            part = STRAIGHT if bounce == 0 else CLEAR if second else _NO_PART
+        if count and not first:
             _count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.ray_words, t, ray_type, s.settings[I_HITBOX_NEAREST])
         if s.lights[L_COUNT_SHAPES] != np.uint64(0):
             _lamps_seen(
-                s, w, ox, oy, oz, dx, dy, dz, t if hit else FAR, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before
+                s, w, ox, oy, oz, dx, dy, dz, t if hit else FAR, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before, part
             )
+        if bounce > 0:
+            part = _NO_PART
         if not hit:
             if s.settings[I_TRANSPARENT_FILM] != 0 and background:
                 w.total[3] += (tr + tg + tb) * _THIRD
@@ -618,17 +701,18 @@ def _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far):
                         f = power_heuristic(pdf, world_density(s.lights, dx, dy, dz))
                     elif strategy == LIGHT_ONLY:
                         f = _ZERO
-                _add(s, w, tr * r * f, tg * g * f, tb * b * f, bounce - 1)
+                _add(s, w, tr * r * f, tg * g * f, tb * b * f, bounce - 1, part)
             return
-        entry = _entry(s, w.ray_words)
-        instance = np.int64(s.ids[entry])
-        if watched:
-            _met(s, instance, ray_type)
-            if s.weights != np.uint64(0):
-                _remember(s, w, entry, tr, tg, tb)
+        if not first:
+            entry = _entry(s, w.ray_words)
+            instance = np.int64(s.ids[entry])
+            if watched:
+                _met(s, instance, ray_type)
+                if s.weights != np.uint64(0):
+                    _remember(s, w, entry, tr, tg, tb)
         triangle = np.int64(load_u32(w.ray_words, PRIM_ID))
         b1, b2 = w.ray[HIT_U], w.ray[HIT_V]
-        mesh = mesh_record(s.meshes, s.table, instance)
+        mesh = mesh_record(s.primary_meshes if first else s.meshes, s.table, instance)
         m = s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance)
         material = material_of(s.table, mesh, instance, triangle)
         shader = np.int64(load_u32(material + M_SHADER, 0))
@@ -673,7 +757,7 @@ def _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far):
             r *= f * np.float32(w.closure[C_EMISSION])
             g *= f * np.float32(w.closure[C_EMISSION + 1])
             b *= f * np.float32(w.closure[C_EMISSION + 2])
-            _add(s, w, tr * r, tg * g, tb * b, bounce - 1)
+            _add(s, w, tr * r, tg * g, tb * b, bounce - 1, part)
         if ends:
             return
         f = _ONE / survival
@@ -691,7 +775,7 @@ def _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far):
                 bsdf_blur(w.closure, 0.5 * math.sqrt(_ONE - blur))
             if w.closure[C_HAS_EVAL] != 0.0 and lit:
                 u0, u1 = uniform2(key, dimension + np.uint64(1))
-                _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transparent, count)
+                _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transparent, count, first)
             u0, u1 = uniform2(key, dimension + np.uint64(2))
             u2, _ = uniform2(key, dimension + np.uint64(3))
             label = np.int64(bsdf_sample(w.closure, u0, u1, u2, w.out))
@@ -704,6 +788,8 @@ def _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far):
             return
         dimension += np.uint64(_DIMENSIONS)
         far = FAR
+        second = first
+        first = False
         if label & TRANSPARENT:
             transparent += 1
             straight = True
@@ -754,6 +840,7 @@ def trace_tile(x0, y0, x1, y1, a):
     camera = f32_pointer(a[A_CAMERA])
     pixel_filter = f32_pointer(a[A_FILTER])
     sums = f32_pointer(a[A_SUMS])
+    parts = f32_pointer(a[A_PARTS])
     seed = np.uint64(s.settings[I_SEED])
     exposure = s.limits[V_EXPOSURE]
     samples = s.settings[I_SAMPLES]
@@ -771,12 +858,19 @@ def trace_tile(x0, y0, x1, y1, a):
                 key = path_key(seed, np.uint64(y * width + x), np.uint64(s.settings[I_FIRST_SAMPLE] + k))
                 f0, f1 = uniform2(key, _FILTER)
                 l0, l1 = uniform2(key, _LENS)
+                record = np.uint64(0)
+                if a[A_PRIMARY] != np.uint64(0):  # its jitter is in the camera
+                    record = a[A_PRIMARY] + np.uint64(16) * np.uint64(y * width + x)
+                    f0 = f1 = np.float32(0.5)
                 u = (np.float32(x) + np.float32(0.5) + filter_offset(pixel_filter, f0)) / np.float32(width)
                 v = (np.float32(y) + np.float32(0.5) + filter_offset(pixel_filter, f1)) / np.float32(height)
                 ox, oy, oz, dx, dy, dz, far = camera_ray(camera, u, v, l0, l1)
                 w.stats[_VERTICES] = 0
                 w.stats[_RECORD] = np.int64(s.log + np.uint64(4 * RECORD) * np.uint64(path))
-                _trace_path(s, w, key, ox, oy, oz, dx, dy, dz, far)
+                _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far)
+                if record != np.uint64(0):
+                    for c in range(PARTS):
+                        parts[PARTS * (y * width + x) + c] += exposure * w.total[_PARTS_AT + c]
                 if s.weights != np.uint64(0):
                     _settle(s, w)
                 if a[A_LUMINANCE] != np.uint64(0):

@@ -17,11 +17,12 @@ from .blas import BlasCache
 from .camera import camera_constants
 from .feedback import Feedback
 from .film import Picture, filter_offsets
-from .hitboxes import ALL_CROSSINGS
+from .hitboxes import ALL_CROSSINGS, Hitboxes
 from .lamps import FAR
 from .lights import Lights, emissive_instances
 from .memory import address
 from .path_log import PathLog
+from .primary import Primary
 from .progress import Progress, silent
 from .scene import F32, Instances, Scene, Shader
 from .shading import SceneTable
@@ -86,6 +87,8 @@ def trace(
     strategy: int = kernel.BOTH,
     log: PathLog | None = None,
     only: NDArray[np.uint8] | None = None,
+    primary: Primary | None = None,
+    boxes: Hitboxes | None = None,
 ) -> Picture:
     """Trace samples paths per pixel through the instances in tlas.
 
@@ -94,6 +97,8 @@ def trace(
     one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled between tiles; where it
     says True the picture is returned as far as it is. strategy: path_kernel.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
     log: gets the luminance of each path, and, where feedback is given, what the path met. only: (H, W, samples) uint8, trace those paths that are not 0.
+    primary: paths start at these hits, of a picture of `size`, instead of with camera rays; the picture then has parts. boxes: of what is culled,
+    to tell for the parts which light of lamps that may block.
     """
     scene = prepared.scene
     width, height = size or (scene.film.width, scene.film.height)
@@ -108,6 +113,14 @@ def trace(
         addresses[kernel.A_LOG] = address(log.records) if feedback is not None else 0
     if only is not None:
         addresses[kernel.A_ONLY] = address(only)
+    parts = None
+    if primary is not None:
+        parts, camera = np.zeros((height, width, kernel.PARTS), np.float32), primary.constants
+        addresses[kernel.A_PARTS], addresses[kernel.A_CAMERA] = address(parts), address(camera)
+        addresses[kernel.A_PRIMARY], addresses[kernel.A_PRIMARY_MESHES] = address(primary.hits), address(primary.meshes.table)
+        if boxes is not None and len(boxes):
+            addresses[kernel.BOXES], addresses[kernel.A_BOX_COUNTERS] = boxes.handle, address(boxes.counters)
+            addresses[kernel.N_BOXES] = len(boxes)
     tiles = [(x, y, min(x + TILE, width), min(y + TILE, height)) for y in range(0, height, TILE) for x in range(0, width, TILE)]
     stop = threading.Event()
 
@@ -125,7 +138,7 @@ def trace(
                     stop.set()
         finally:
             stop.set()
-    return Picture(sums, samples, int(stats[kernel.PATHS]), int(stats[kernel.RAYS]))
+    return Picture(sums, samples, int(stats[kernel.PATHS]), int(stats[kernel.RAYS]), parts)
 
 
 def _settings(

@@ -1,0 +1,122 @@
+"""First hits that something else than the path tracer has found: a raster of the whole scene, culled instances included, or rays over everything.
+
+A pass over the picture is a pinhole camera with one hit per pixel centre. Anti-aliasing and depth of field come from many passes, each with a camera
+jittered by the pixel filter and over the lens (Haeberli, Akeley, "The Accumulation Buffer", SIGGRAPH 1990): every path starts at one exact hit, never at
+a mean of several.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from .blas import MESH, loaded
+from .camera import aperture_point, camera_constants, camera_ray
+from .embree import HIT_U, HIT_V, PRIM_ID, RAY, intersect, set_ray
+from .film import filter_offset, filter_offsets
+from .scene import F32, F64, Camera, Film, Mesh, RayType, Records
+from .tlas import Tlas, hit_instance
+
+# What a camera ray meets: instance (-1: nothing), triangle of its mesh, barycentrics of the triangle's vertices 1 and 2.
+HIT = np.dtype([("instance", "i4"), ("triangle", "u4"), ("b1", "f4"), ("b2", "f4")])
+_CAMERA_MASK = np.uint32(1 << RayType.CAMERA)
+
+
+class MeshTable:
+    """Meshes in the form that kernels read, without a BLAS. table: (M,) of blas.MESH."""
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        self._meshes = meshes
+        self._loaded: dict[int, Mesh] = {}
+        self.table: Records = np.zeros(len(meshes), MESH)
+
+    def need(self, meshes: np.ndarray) -> None:
+        """Load what is missing of meshes (indices, repeats allowed)."""
+        for index in np.unique(meshes).tolist():
+            if index not in self._loaded:
+                mesh, self.table[index] = loaded(self._meshes[index])
+                self._loaded[index] = mesh
+
+    def __getitem__(self, index: int) -> Mesh:
+        return self._loaded[index]
+
+
+@dataclass(frozen=True, eq=False)
+class Primary:
+    """One pass of first hits.
+
+    hits: (H, W) of HIT, rows bottom up. camera: pinhole camera whose rays through the pixel centres met them. meshes: what they lie on is loaded there.
+    """
+
+    hits: Records
+    camera: Camera
+    meshes: MeshTable
+
+    @property
+    def constants(self) -> F32:
+        """What the kernels read of the camera."""
+        return camera_constants(self.camera)
+
+
+def pass_camera(camera: Camera, film: Film, size: tuple[int, int], index: int, count: int) -> Camera:
+    """The camera of pass `index` of `count`: moved by a point of the lens, its picture (of size, width and height) by an offset of the pixel filter.
+
+    The points are a rank-1 sequence over filter and lens (Roberts's generalised golden ratio): a few passes cover both evenly. A single pass is the camera
+    itself. Orthographic cameras are taken without depth of field.
+    """
+    if count == 1:
+        return dataclasses.replace(camera, aperture=0.0)
+    u = _sequence(index, 4)
+    table = filter_offsets(film)
+    constants = camera_constants(camera)
+    lens = np.array(aperture_point(constants, np.float32(u[2]), np.float32(u[3])), np.float64) * camera.aperture
+    frame = camera.frame.copy()
+    for axis in range(2):
+        step = (frame[2 * axis + 1] - frame[2 * axis]) / size[axis]
+        frame[2 * axis : 2 * axis + 2] += float(filter_offset(table, np.float32(u[axis]))) * step
+        if not camera.orthographic:
+            frame[2 * axis : 2 * axis + 2] -= lens[axis] / camera.focus  # what lies at the distance of focus stays where it is
+    to_world = camera.to_world.copy()
+    if not camera.orthographic:
+        to_world[:, 3] += to_world[:, :2] / np.linalg.norm(to_world[:, :2], axis=0) @ lens
+    return dataclasses.replace(camera, to_world=to_world, frame=frame, aperture=0.0)
+
+
+def _sequence(index: int, dimensions: int) -> F64:
+    """Point `index` of a sequence that fills [0, 1)^dimensions evenly; the first is its middle."""
+    phi = 2.0
+    for _ in range(64):
+        phi = (1 + phi) ** (1 / (dimensions + 1))
+    return np.asarray((0.5 + index * phi ** -np.arange(1.0, dimensions + 1)) % 1.0)
+
+
+def trace_primary(tlas: Tlas, meshes: MeshTable, camera: Camera, size: tuple[int, int], mesh_of: np.ndarray) -> Primary:
+    """First hits by rays over a TLAS, for machines without a raster. size: width and height. mesh_of: (N,) mesh of every instance."""
+    hits = np.zeros((size[1], size[0]), HIT)
+    flat = hits.view(np.int32).reshape(size[1], size[0], 4)
+    _trace_primary(tlas.handle, tlas.ids, tlas.first, camera_constants(camera), flat, flat.view(np.float32))
+    found = hits["instance"][hits["instance"] >= 0]
+    meshes.need(mesh_of[np.unique(found)])
+    return Primary(hits, camera, meshes)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _trace_primary(tlas, ids, first, camera, hits, values):
+    height, width = hits.shape[:2]
+    ray = np.zeros(RAY, np.float32)
+    for y in range(height):
+        for x in range(width):
+            u = (np.float32(x) + np.float32(0.5)) / np.float32(width)
+            v = (np.float32(y) + np.float32(0.5)) / np.float32(height)
+            ox, oy, oz, dx, dy, dz, far = camera_ray(camera, u, v, np.float32(0.0), np.float32(0.0))
+            set_ray(ray, ox, oy, oz, dx, dy, dz, np.float32(0.0), far, _CAMERA_MASK)
+            hits[y, x, 0] = -1
+            if intersect(tlas, ray):
+                hits[y, x, 0] = hit_instance(ids, first, ray)
+                hits[y, x, 1] = np.int32(ray.view(np.uint32)[PRIM_ID])
+                values[y, x, 2] = ray[HIT_U]
+                values[y, x, 3] = ray[HIT_V]
