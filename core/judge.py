@@ -73,6 +73,7 @@ class Judge:
             self.loop.blas.need(np.array([mesh]))
             self.mesh_seconds[mesh] = time.perf_counter() - start
         tlas = self.loop.build(self.loop.exists)
+        self.first_sample = self.loop.next_sample
         self.full = self._batches(lambda k: self.loop.trace(tlas, self.per_batch)[1], part(progress, 0.0, 0.5))
         self.second_seed = self._batches(lambda k: self.loop.trace(tlas, self.per_batch)[1], part(progress, 0.5, 1.0))
 
@@ -85,7 +86,7 @@ class Judge:
 
     def picture(self, keep: np.ndarray, batches: int = BATCHES) -> F32:
         """Batches of the picture with only keep (N,) bool in the scene: (batches, H, W, 4) float32."""
-        return np.stack([self.loop.trace_again(keep, k * self.per_batch, self.per_batch) for k in range(batches)])
+        return np.stack([self.loop.trace_again(keep, self.first_sample + k * self.per_batch, self.per_batch) for k in range(batches)])
 
     def change(self, keep: np.ndarray, batches: int = BATCHES) -> Change:
         """Change by culling to keep (N,) bool; fewer batches are cheaper and noisier."""
