@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from .scene import F64, Camera
+
 LARGEST = 1.8e18  # Embree takes no coordinate beyond this (FLT_LARGE)
 
 
@@ -73,3 +75,60 @@ def usable_transforms(transform: Any) -> Any:
     good = np.empty(n, np.bool_)
     finish(np.ascontiguousarray(transform, np.float64), zero, zero, zero, np.empty((n, 3, 4), np.float32), np.empty((n, 2, 3), np.float32), good)
     return good
+
+
+_COARSEST = 2.0**10  # coordinates over distance from the camera: float32 rounds them to 2**-24 of that, 1/16 of a pixel of a milliradian
+
+
+def scene_origin(camera: Camera) -> F64:
+    """Where the coordinates of a scene should begin, (3,) float64: near the camera, on a grid as coarse as what it sees nearest allows, 1 m at most.
+
+    On a grid, so that coordinates of few digits stay exact and neighbours stay flush. Float32 then rounds to 2**-18 of the nearest distance.
+    """
+    cell = 2.0 ** min(np.floor(np.log2(max(64 * _detail(camera), 1e-30))), 0)
+    return np.asarray(np.round(camera.to_world[:, 3] / cell) * cell, np.float64)
+
+
+def local_origin(low: F64, high: F64, transform: F64, camera: Camera) -> F64:
+    """Where the coordinates of a mesh should begin, in its own space, (3,) float64: zeros where they may stay as they are.
+
+    low, high (3,) float64: its box; transform (n, 3, 4) float64: its instances; camera: in the same world. A mesh far from its own origin, or one that reaches far
+    beyond the camera, loses digits just where it is looked at. Its coordinates then begin near the point of its box that is nearest to the camera, of the instance
+    that is nearest; on a grid, so that a camera that moves a little changes nothing.
+    """
+    zero = np.zeros(3)
+    reach = np.maximum(np.abs(low), np.abs(high)).max()
+    scale = np.linalg.norm(transform[:, :, :3], axis=1).max(axis=1)
+    if not (reach * scale).max(initial=0) > local_reach(camera):
+        return zero
+    sound = usable_transforms(transform)
+    if not sound.any():
+        return zero
+    linear, scale = transform[sound, :, :3], scale[sound]
+    eye = np.linalg.solve(linear, (camera.to_world[:, 3] - transform[sound, :, 3])[:, :, None])[:, :, 0]
+    nearest = np.clip(eye, low, high)
+    distance = np.linalg.norm(np.einsum("nij,nj->ni", linear, nearest - eye), axis=1)
+    k = int(distance.argmin())
+    detail = _detail(camera, distance[k]) / scale[k]
+    if not np.abs(nearest[k]).max() > _COARSEST * detail:
+        return zero
+    cell = 2.0 ** np.floor(np.log2(_COARSEST * detail))
+    return np.asarray(np.round(nearest[k] / cell) * cell)
+
+
+def local_reach(camera: Camera) -> float:
+    """Metres that a mesh may reach from its own origin before `local_origin` looks at where it is."""
+    return _COARSEST * _detail(camera)
+
+
+def _detail(camera: Camera, distance: float = 0.0) -> float:
+    """A thousand pixels of a picture of a thousand pixels, in metres, at a distance from the camera; at least at where it begins to see."""
+    width = float(max(camera.frame[1] - camera.frame[0], camera.frame[3] - camera.frame[2]))
+    return width if camera.orthographic else max(distance, camera.clip_start) * min(width, 1.0)
+
+
+def shifted(transform: F64, origin: F64) -> F64:
+    """Transforms (n, 3, 4) float64 of a mesh whose coordinates begin at origin (3,), in its own space."""
+    out = transform.copy()
+    out[:, :, 3] += transform[:, :, :3] @ origin
+    return out

@@ -65,8 +65,8 @@ _ALPHA_CHANNEL, _TRANSMISSION_CHANNEL = offset(MATERIAL, "alpha_channel"), offse
 
 _PRINCIPLED, _TRANSPARENT = np.uint32(Shader.PRINCIPLED), np.uint32(Shader.TRANSPARENT)
 _ZERO, _ONE, _HALF, _TWO, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(2.0), np.float32(1.0 / 3.0)
-# Bound of a chain of about eight roundings of half an ulp (Higham; pbrt-v4 section 6.8.1).
-_GAMMA = np.float32(8 * 2.0**-24)
+# Error bounds of `interpolate`, in units of float32's rounding
+_TRANSFORM, _TRIANGLE, _POSITION, _SLIVER = 12 * 2.0**-24, 4 * 2.0**-24, 2 * 2.0**-24, 2.0**10
 _GEOMETRY_OFFSET = np.float32(0.1)  # Blender's default "Shadow Terminator Geometry Offset"
 
 
@@ -128,54 +128,75 @@ def corner_normal(mesh, triangle, b1, b2):
 
 
 @njit(**INNER)
+def _unit64(x, y, z):
+    """(unit vector, length) in float64; a zero vector gives zeros."""
+    length = math.sqrt(x * x + y * y + z * z)
+    f = 1.0 / max(length, 1e-300)
+    return x * f, y * f, z * f, length
+
+
+@njit(**INNER)
 def interpolate(mesh, m, triangle, b1, b2, surf, frame):
     """Position, its error bound and both normals of a point of a triangle.
 
     mesh: address of the mesh record; m: address of the instance's transform. Fills surf, frame[F_NG], frame[F_NS] and frame[F_N], outward as the mesh says.
 
-    The error bound covers interpolation and transform (pbrt-v4 section 6.8.5) and what Embree adds by taking the ray to object space and back and by
-    subtracting vertices from its origin.
+    Computed in float64, so that neither a triangle of 1e-9 m loses its normal nor one of 1e4 m its millimetres; what is left of our error is the rounding of the
+    position. The bound is of that and of what Embree, in float32, makes of a ray from there (Higham's first-order bounds, as in pbrt-v4 section 6.8, u = 2^-24):
+    - Taking the origin to object space, M^-1 p - M^-1 t: three multiply-adds, two roundings of a cofactor, one of the division, and the determinant's four:
+      10 u of (sums of |products|), not of results, which may cancel. Two more for what the result loses when it comes back by |M|.
+    - Vertices minus origin: u of the distances. The normal's direction, from edges of these differences: two roundings of each difference and two of each product
+      in the best conditioned cross product of two edges, relative to the area: 4 u times (1 + 1 / sine of the angle), which is capped at slivers of 2^-10.
     """
     ax, ay, az = vertex(mesh, triangle, 0)
     bx, by, bz = vertex(mesh, triangle, 1)
     cx, cy, cz = vertex(mesh, triangle, 2)
-    b0 = _ONE - b1 - b2
-    x = b0 * ax + b1 * bx + b2 * cx
-    y = b0 * ay + b1 * by + b2 * cy
-    z = b0 * az + b1 * bz + b2 * cz
-    m00, m01, m02, tx = load_f32(m, 0), load_f32(m, 1), load_f32(m, 2), load_f32(m, 3)
-    m10, m11, m12, ty = load_f32(m, 4), load_f32(m, 5), load_f32(m, 6), load_f32(m, 7)
-    m20, m21, m22, tz = load_f32(m, 8), load_f32(m, 9), load_f32(m, 10), load_f32(m, 11)
+    ax, ay, az = np.float64(ax), np.float64(ay), np.float64(az)
+    b0 = 1.0 - np.float64(b1) - np.float64(b2)
+    x = b0 * ax + b1 * np.float64(bx) + b2 * np.float64(cx)
+    y = b0 * ay + b1 * np.float64(by) + b2 * np.float64(cy)
+    z = b0 * az + b1 * np.float64(bz) + b2 * np.float64(cz)
+    m00, m01, m02, tx = np.float64(load_f32(m, 0)), np.float64(load_f32(m, 1)), np.float64(load_f32(m, 2)), np.float64(load_f32(m, 3))
+    m10, m11, m12, ty = np.float64(load_f32(m, 4)), np.float64(load_f32(m, 5)), np.float64(load_f32(m, 6)), np.float64(load_f32(m, 7))
+    m20, m21, m22, tz = np.float64(load_f32(m, 8)), np.float64(load_f32(m, 9)), np.float64(load_f32(m, 10)), np.float64(load_f32(m, 11))
     px = m00 * x + m01 * y + m02 * z + tx
     py = m10 * x + m11 * y + m12 * z + ty
     pz = m20 * x + m21 * y + m22 * z + tz
-    # Cofactors: rows of the inverse transpose times the determinant.
+    # Cofactors: rows of the inverse transpose times the determinant. Each is a difference whose terms bound its rounding: s..
     c00, c01, c02 = m11 * m22 - m12 * m21, m12 * m20 - m10 * m22, m10 * m21 - m11 * m20
     c10, c11, c12 = m02 * m21 - m01 * m22, m00 * m22 - m02 * m20, m01 * m20 - m00 * m21
     c20, c21, c22 = m01 * m12 - m02 * m11, m02 * m10 - m00 * m12, m00 * m11 - m01 * m10
     det = m00 * c00 + m01 * c01 + m02 * c02
-    inv = _ONE / max(abs(det), np.float32(1e-37))
+    inv = 1.0 / max(abs(det), 1e-300)
     wx, wy, wz = abs(px) + abs(tx), abs(py) + abs(ty), abs(pz) + abs(tz)
-    # In object space: what the inverse of the world position loses, and the extent of the triangle.
-    ox = inv * (abs(c00) * wx + abs(c10) * wy + abs(c20) * wz) + max(abs(ax), max(abs(bx), abs(cx)))
-    oy = inv * (abs(c01) * wx + abs(c11) * wy + abs(c21) * wz) + max(abs(ay), max(abs(by), abs(cy)))
-    oz = inv * (abs(c02) * wx + abs(c12) * wy + abs(c22) * wz) + max(abs(az), max(abs(bz), abs(cz)))
+    n00, n01, n02, n10, n11, n12, n20, n21, n22 = abs(m00), abs(m01), abs(m02), abs(m10), abs(m11), abs(m12), abs(m20), abs(m21), abs(m22)
+    ox = inv * ((n11 * n22 + n12 * n21) * wx + (n02 * n21 + n01 * n22) * wy + (n01 * n12 + n02 * n11) * wz)
+    oy = inv * ((n12 * n20 + n10 * n22) * wx + (n00 * n22 + n02 * n20) * wy + (n02 * n10 + n00 * n12) * wz)
+    oz = inv * ((n10 * n21 + n11 * n20) * wx + (n01 * n20 + n00 * n21) * wy + (n00 * n11 + n01 * n10) * wz)
+    # The triangle: edges, area, distances of the vertices.
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
+    ww = (vx - ux) * (vx - ux) + (vy - uy) * (vy - uy) + (vz - uz) * (vz - uz)
+    shape = _TRIANGLE * (1.0 + min(math.sqrt(min(uu * vv, min(uu * ww, vv * ww))) / max(length, 1e-300), _SLIVER))
+    ox = _TRANSFORM * ox + shape * max(abs(ax - x), max(abs(bx - x), abs(cx - x)))
+    oy = _TRANSFORM * oy + shape * max(abs(ay - y), max(abs(by - y), abs(cy - y)))
+    oz = _TRANSFORM * oz + shape * max(abs(az - z), max(abs(bz - z), abs(cz - z)))
     surf[S_P] = px
     surf[S_P + 1] = py
     surf[S_P + 2] = pz
-    surf[S_ERROR] = _GAMMA * (abs(m00) * ox + abs(m01) * oy + abs(m02) * oz + wx)
-    surf[S_ERROR + 1] = _GAMMA * (abs(m10) * ox + abs(m11) * oy + abs(m12) * oz + wy)
-    surf[S_ERROR + 2] = _GAMMA * (abs(m20) * ox + abs(m21) * oy + abs(m22) * oz + wz)
+    surf[S_ERROR] = n00 * ox + n01 * oy + n02 * oz + _POSITION * abs(px)
+    surf[S_ERROR + 1] = n10 * ox + n11 * oy + n12 * oz + _POSITION * abs(py)
+    surf[S_ERROR + 2] = n20 * ox + n21 * oy + n22 * oz + _POSITION * abs(pz)
     surf[S_BARY] = b1
     surf[S_BARY + 1] = b2
-    ux, uy, uz = bx - ax, by - ay, bz - az
-    vx, vy, vz = cx - ax, cy - ay, cz - az
-    nx, ny, nz, _ = normalize(uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
-    s = _ONE if det >= _ZERO else -_ONE
-    gx, gy, gz, _ = normalize(s * (c00 * nx + c01 * ny + c02 * nz), s * (c10 * nx + c11 * ny + c12 * nz), s * (c20 * nx + c21 * ny + c22 * nz))
-    nx, ny, nz = corner_normal(mesh, triangle, b1, b2)
-    sx, sy, sz, length = normalize(s * (c00 * nx + c01 * ny + c02 * nz), s * (c10 * nx + c11 * ny + c12 * nz), s * (c20 * nx + c21 * ny + c22 * nz))
-    if not length > _ZERO:
+    s = 1.0 if det >= 0.0 else -1.0
+    gx, gy, gz, length = _unit64(s * (c00 * nx + c01 * ny + c02 * nz), s * (c10 * nx + c11 * ny + c12 * nz), s * (c20 * nx + c21 * ny + c22 * nz))
+    kx, ky, kz = corner_normal(mesh, triangle, b1, b2)
+    sx, sy, sz, length = _unit64(s * (c00 * kx + c01 * ky + c02 * kz), s * (c10 * kx + c11 * ky + c12 * kz), s * (c20 * kx + c21 * ky + c22 * kz))
+    if not length > 0.0:
         sx, sy, sz = gx, gy, gz
     frame[F_NG] = gx
     frame[F_NG + 1] = gy

@@ -1,28 +1,24 @@
-"""Dependency graph -> placed meshes and lights, without a Python step per instance.
+"""What a graph's objects place -> arrays of instances, without a Python step per instance.
 
-`depsgraph.object_instances` makes a Python object per instance, 5 s per million. Here Python walks objects, collections and instance references, each once, and
-NumPy composes the transforms of everything they place: `GeometrySet.instances_pointcloud()` gives the instances of geometry nodes as arrays; the contents of a
-collection are composed with all objects that instance it at once. Particles and vertex or face instancing come as arrays too: `evaluated_geometry()` lists them
-as instances (Blender's `object_duplilist_legacy_instances`), so `object_instances` serves as an oracle in the tests alone.
-
-What is instanced, how, and what is visible follows Blender's `object_dupli.cc` and `depsgraph_query_iter.cc`, and Cycles' `blender/object.cpp`.
+NumPy composes the transforms of everything that objects, collections and instance references place: the instances of geometry nodes come as arrays, the contents
+of a collection are composed with all objects that instance it at once. What was placed from the same things in the frame before is taken over as it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.placing import compose_rows, finish
-from ...core.scene import F32, F64, InstanceFlag, Instances, RayType
-from ..keys import KEY, MAX_DEPTH, Keys, Kind
-from .meshes import MeshSource, describe, read
+from ...core.placing import compose_rows, finish, local_origin, local_reach, shifted
+from ...core.scene import F32, F64, I32, U8, Camera, InstanceFlag, Instances, Records, RayType
+from ..keys import KEY, MAX_DEPTH, Kind
+from .graph import Geometry, GraphReader, Members, Node
+from .lights import Lamp
 
-GEOMETRY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL"}
 BLOCK = 1 << 14  # instances composed at a time: their float64 temporaries stay in the cache
 VISIBLE = (1 << len(RayType)) - 1
 Ints = int | NDArray[Any]  # one for all, or one per placement
@@ -30,11 +26,6 @@ Ints = int | NDArray[Any]  # one for all, or one per placement
 
 def _take(values: Ints, index: NDArray[Any] | slice) -> Ints:
     return values if isinstance(values, int) else values[index]
-
-
-def matrix(value: Any) -> F64:
-    """(3, 4) float64 of a mathutils.Matrix."""
-    return np.array(value, np.float64)[:3]
 
 
 def compose(a: F64, b: F64) -> F64:
@@ -91,41 +82,76 @@ class Placements:
 
 
 @dataclass
-class Geometry:
-    """A GeometrySet, read once: its mesh, and its instances grouped by what they refer to."""
+class Rows:
+    """Instances and their keys, as in `core.scene.Instances` and `keys.Keys`."""
 
-    mesh: int
-    slots: int
-    columns: NDArray[np.float32]  # (n, 4, 4), column-major
-    groups: list[tuple[NDArray[np.int64] | None, Any]]  # rows (None: all), Node | Members | Geometry
+    transform: F32
+    bounds: F32
+    mesh: I32
+    slots: I32
+    flags: U8
+    records: Records
+
+    @staticmethod
+    def empty(count: int) -> Rows:
+        """Room for count rows."""
+        return Rows(
+            np.empty((count, 3, 4), np.float32),
+            np.empty((count, 2, 3), np.float32),
+            np.empty(count, np.int32),
+            np.empty(count, np.int32),
+            np.empty(count, np.uint8),
+            np.zeros(count, KEY),
+        )
+
+    @staticmethod
+    def join(parts: Sequence[Rows]) -> Rows:
+        """All rows, one part after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        if not parts:
+            return Rows.empty(0)
+        return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__dataclass_fields__))
+
+    def __len__(self) -> int:
+        return len(self.mesh)
+
+    def __getitem__(self, part: slice) -> Rows:
+        return Rows(*(getattr(self, name)[part] for name in Rows.__dataclass_fields__))
+
+    def instances(self) -> Instances:
+        """For the core."""
+        return Instances(self.transform, self.mesh, self.slots, self.flags, self.bounds)
 
 
 @dataclass
-class Members:
-    """A collection as it is instanced: visible objects, with the place of each among all objects of the collection."""
+class Block:
+    """What one top-level instancer placed, or all objects that are not instanced: rows [first, first + count) of a frame.
 
-    objects: list[tuple[int, Node]]
-    offset: F64
-    key: int
+    of: what it was placed from, by name; pairs: meshes with their offsets into the slot table; lamps; dropped: unusable placements by mesh name.
+    reach: metres that its meshes reach from their own origins, at most.
+    """
+
+    of: tuple[str, ...]
+    first: int = 0
+    count: int = 0
+    pairs: set[tuple[int, int]] = field(default_factory=set)
+    lamps: list[Lamp] = field(default_factory=list)
+    dropped: dict[str, int] = field(default_factory=dict)
+    reach: float = 0.0
 
 
 @dataclass
-class Node:
-    """An evaluated object, read once. `geometry` holds its own mesh even where it instances nothing."""
+class Placed:
+    """A frame: rows, the blocks that they consist of, in order, and where its coordinates begin.
 
-    key: int
-    name: int
-    world: F64
-    visible: int
-    marks: int
-    shown: bool  # the object itself, beside what it instances
-    geometry: Geometry | None = None
-    light: Any = None
-    collection: Any = None
-    kind: Kind = Kind.OBJECT  # how it instances, OBJECT: not at all
-    recursive: bool = True  # what it instances may instance in turn
-    replaced: bool = False  # shown only by its parent's vertex or face instancing
-    alone: bool = False  # shows its mesh only where it is not instanced
+    before: for each block, the block of the frame before that it is placed from the same things as, and whether its rows were taken over.
+    """
+
+    origin: F64
+    rows: Rows
+    blocks: list[Block]
+    before: list[tuple[Block | None, bool]]
 
 
 class _Output:
@@ -133,252 +159,149 @@ class _Output:
 
     def __init__(self) -> None:
         self.count = 0
-        self.transform, self.bounds = np.empty((0, 3, 4), np.float32), np.empty((0, 2, 3), np.float32)
-        self.mesh, self.slots, self.flags = np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.uint8)
-        self.records = np.empty(0, KEY)
+        self.rows = Rows.empty(0)
 
     def reserve(self, more: int) -> None:
         """Makes room for `more` instances."""
         need = self.count + more
-        if need <= len(self.mesh):
+        if need <= len(self.rows):
             return
-        capacity = max(need, 2 * len(self.mesh))
-        for name in ("transform", "bounds", "mesh", "slots", "flags", "records"):
-            old = getattr(self, name)
-            new = np.empty((capacity, *old.shape[1:]), old.dtype)
-            new[: self.count] = old[: self.count]
-            setattr(self, name, new)
+        new = Rows.empty(max(need, 2 * len(self.rows)))
+        for name in Rows.__dataclass_fields__:
+            getattr(new, name)[: self.count] = getattr(self.rows, name)[: self.count]
+        self.rows = new
 
 
-@dataclass
-class Lamp:
-    """A light object's data (`bpy.types.Light`), where it is placed, and which rays see it."""
+class Placer:
+    """Places what a reader found in a frame.
 
-    data: Any
-    name: str
-    visible: Ints
-    transform: F64
-
-
-def full_name(data: Any) -> str:
-    """Name that finds a datablock again: for linked ones the library path and the name, with a newline between."""
-    return f"{data.library.filepath}\n{data.name}" if data.library is not None else str(data.name)
-
-
-def ray_visibility(item: Any) -> int:
-    """Bits per RayType of an object's ray visibility."""
-    flags = (item.visible_camera, item.visible_diffuse, item.visible_glossy, item.visible_transmission, item.visible_shadow)
-    return sum(1 << bit for bit, on in enumerate(flags) if on)
-
-
-class Collector:
-    """Walks a dependency graph. After `run`: `meshes` (sources), `lamps`, `warnings`, `unsupported`, and `result()`.
-
-    origin: (3,) float64, subtracted from all positions before they become float32.
-    slots: callback(object, mesh) -> offset into `Scene.slot_materials`, given the number of slots needed.
+    origin: (3,) float64, subtracted from all positions before they become float32. camera: what looks at the scene, in world space; where it is None, all meshes
+    keep their own origins. before: the frame before, of the same reader.
     """
 
-    def __init__(self, depsgraph: Any, origin: F64, slots: Callable[[Any, Any, int], int]) -> None:
-        self.depsgraph = depsgraph
-        self.origin = origin
-        self.layer = depsgraph.view_layer_eval
-        self.slots = slots
-        self.meshes: list[MeshSource] = []
-        self.lamps: list[Lamp] = []
-        self.warnings: list[str] = []
-        self.unsupported: dict[str, None] = {}
-        self._names: dict[str, int] = {}
-        self._nodes: dict[int, Node] = {}
-        self._members: dict[int, Members] = {}
-        self._meshes_of_data: dict[int, int] = {}
+    def __init__(self, reader: GraphReader, origin: F64, camera: Camera | None = None, before: Placed | None = None) -> None:
+        self.reader, self.meshes = reader, reader.meshes
+        self.origin, self.camera = origin, camera
+        self.limit = np.inf if camera is None else local_reach(camera)
+        self._before = before if before is not None and np.array_equal(before.origin, origin) else None
+        self._known = {block.of: block for block in before.blocks} if before is not None else {}
+        self._latest: dict[int, int] = {}
         self._output = _Output()
-        self._dropped: dict[str, int] = {}
+        self._blocks: list[tuple[Block, Block | None, bool]] = []
 
-    # Reading Blender
-
-    def _name(self, item: Any) -> int:
-        return self._names.setdefault(full_name(item), len(self._names))
-
-    def _mesh(self, geometry: Any, name: str, key: int | None = None) -> int:
-        """Index of a GeometrySet's mesh, -1 without faces. key: of data that several objects share."""
-        if key is not None and key in self._meshes_of_data:
-            return self._meshes_of_data[key]
-        source = describe(geometry, name)
-        index = -1
-        if source is not None:
-            index = len(self.meshes)
-            self.meshes.append(source)
-            if source.broken:
-                self.warnings.append(f"mesh of {name!r} has vertices that are not finite: triangles with these are left out")
-        if key is not None:
-            self._meshes_of_data[key] = index
-        return index
-
-    def _geometry(self, geometry: Any, item: Any, key: int | None = None) -> Geometry:
-        mesh = self._mesh(geometry, item.name, key)
-        for name, kind in (("pointcloud", "point cloud"), ("curves", "curves (hair)"), ("volume", "volume"), ("grease_pencil", "Grease Pencil")):
-            part = getattr(geometry, name, None)
-            if part is not None and not (name == "curves" and geometry.mesh is not None and item.type in {"CURVE", "FONT", "SURFACE"}):
-                self.unsupported.setdefault(f"object {item.name}: {kind} not rendered")
-        slots = self.slots(item, geometry.mesh, self.meshes[mesh].slot_count) if mesh >= 0 else 0
-        cloud = geometry.instances_pointcloud()
-        if cloud is None:
-            return Geometry(mesh, slots, np.zeros((0, 4, 4), np.float32), [])
-        count = len(cloud.points)
-        columns = read(cloud.attributes["instance_transform"].data, "value", count, 16).reshape(count, 4, 4)
-        reference = read(cloud.attributes[".reference_index"].data, "value", count, dtype=np.int32)
-        targets = geometry.instance_references()
-        groups: list[tuple[NDArray[np.int64] | None, Any]] = []
-        if len(targets) == 1:
-            groups.append((None, self._reference(targets[0], item)))
-        elif targets:
-            order = np.argsort(reference, kind="stable")
-            ends = np.searchsorted(reference[order], np.arange(len(targets) + 1))
-            groups += [(order[a:b], self._reference(t, item)) for t, a, b in zip(targets, ends[:-1], ends[1:], strict=True) if b > a]
-        return Geometry(mesh, slots, columns, groups)
-
-    def _reference(self, target: Any, owner: Any) -> Any:
-        if target is None:
-            return None
-        if hasattr(target, "instances_pointcloud"):
-            return self._geometry(target, owner)
-        if hasattr(target, "all_objects"):
-            return self.members(target)
-        return self.node(target)
-
-    def node(self, item: Any) -> Node:
-        """The Node of an object of the graph."""
-        key = item.as_pointer()
-        known = self._nodes.get(key)
-        if known is not None:
-            return known
-        holdout = item.holdout_get(view_layer=self.layer)
-        visible = ray_visibility(item)
-        if not holdout and item.indirect_only_get(view_layer=self.layer):
-            visible &= ~(1 << RayType.CAMERA)
-        marks = (int(InstanceFlag.HOLDOUT) if holdout else 0) | (int(InstanceFlag.SHADOW_CATCHER) if item.is_shadow_catcher else 0)
-        node = Node(key, self._name(item), matrix(item.matrix_world), visible, marks, shown=True)
-        self._nodes[key] = node
-        legacy = self._legacy(item)
-        if item.type in GEOMETRY_TYPES:
-            data = item.data.as_pointer() if item.type == "MESH" else None
-            if data in self._meshes_of_data and not len(item.modifiers) and legacy is None:
-                mesh = self._meshes_of_data[data]
-                slots = self.slots(item, item.data, self.meshes[mesh].slot_count) if mesh >= 0 else 0
-                node.geometry = Geometry(mesh, slots, np.zeros((0, 4, 4), np.float32), [])
-            else:
-                geometry = item.evaluated_geometry()
-                node.geometry = self._geometry(geometry, item, data)
-                if node.geometry.groups:
-                    # Instances of geometry nodes come before the older ones, which are of objects and always have an id
-                    objects = all(isinstance(target, Node) for _, target in node.geometry.groups)
-                    older = legacy is not None and objects and "id" in geometry.instances_pointcloud().attributes
-                    node.kind = legacy if older and legacy is not None else Kind.GEOMETRY_NODES
-                    node.recursive = node.kind != Kind.PARTICLE
-        elif item.type == "LIGHT":
-            node.light = item.data
-        if node.kind == Kind.OBJECT and item.instance_type == "COLLECTION" and item.instance_collection is not None:
-            node.collection, node.kind = item.instance_collection, Kind.COLLECTION
-        if len(item.particle_systems) or node.kind == Kind.GEOMETRY_NODES or item.instance_type != "NONE":
-            node.shown = item.show_instancer_for_render
-        if item.hide_render:  # reached as an instance: shows itself, instances nothing; and a mesh that is not its own data is an instance already
-            node.kind = Kind.OBJECT
-            node.alone = item.type != "MESH"
-        node.alone |= item.type == "META"
-        parent = item.parent
-        node.replaced = parent is not None and parent.instance_type in {"VERTS", "FACES"}
-        return node
-
-    def _legacy(self, item: Any) -> Kind | None:
-        """PARTICLE or DUPLI where an object instances by these."""
-        kind = None
-        for system in item.particle_systems:
-            settings = system.settings
-            if settings.render_type in {"OBJECT", "COLLECTION"}:
-                kind = Kind.PARTICLE
-            elif settings.render_type == "PATH" and settings.type == "HAIR":
-                self.unsupported.setdefault(f"object {item.name}: hair strands not rendered")
-        return Kind.DUPLI if kind is None and item.instance_type in {"VERTS", "FACES"} else kind
-
-    def members(self, collection: Any) -> Members:
-        """The Members of a collection that something instances."""
-        key = collection.as_pointer()
-        known = self._members.get(key)
-        if known is None:
-            offset = np.eye(3, 4)
-            offset[:, 3] = -np.array(collection.instance_offset)
-            known = self._members[key] = Members([], offset, key)  # first, so that a cycle ends
-            shown = {item.as_pointer() for item in _visible_members(collection)}
-            known.objects = [(k, self.node(item)) for k, item in enumerate(collection.all_objects) if item.as_pointer() in shown]
-        return known
-
-    # Placing
-
-    def run(self) -> None:
-        """Walks the graph once."""
-        nodes = [self.node(item) for item in self._top_level()]
-        self._plain(nodes)
-        hosts = [(n, Placements(n.world[None], int(n.kind), n.name, n.visible, n.marks)) for n in nodes if n.kind != Kind.OBJECT]
-        self._instances_of(hosts, (), 0)
-
-    def _top_level(self) -> Iterator[Any]:
-        """Objects visible in the render, and those hidden themselves whose instances are visible (which `depsgraph.objects` leaves out)."""
-        seen: set[int] = set()
-        for item in self.depsgraph.objects:
-            seen.add(item.as_pointer())
-            yield item
-        enabled: set[str] | None = None
-        for item in self.layer.objects:
-            if item.as_pointer() not in seen and not item.show_instancer_for_render and not item.hide_render:
-                if enabled is None:
-                    enabled = {full_name(o) for o in _render_objects(self.depsgraph.view_layer.layer_collection)}
-                if full_name(item) in enabled:
-                    yield item
-
-    def _plain(self, nodes: Iterable[Node]) -> None:
-        """Objects themselves, grouped by what they show."""
-        groups: dict[tuple[int, int], list[Node]] = {}
+    def place(self, nodes: Sequence[Node]) -> Placed:
+        """All instances of the objects at the top, in a stable order."""
+        self.meshes.place_anew()
+        self._plain([node for node in nodes if node.shown and not node.replaced])
+        together: dict[str, list[Node]] = {}
         for node in nodes:
-            if not node.shown or node.replaced:
+            if node.kind == Kind.OBJECT:
                 continue
-            if node.light is not None:
+            if node.kind != Kind.COLLECTION and node.geometry is not None:
+                self._instancer((node.full_name,), [node])
+            else:
+                members = self.reader.members(node.collection)
+                inside = any(child is node for _, child in members.objects)
+                together.setdefault(node.full_name if inside else members.full_name, []).append(node)
+        for hosts in together.values():
+            self._instancer(tuple(node.full_name for node in hosts), hosts)
+        return self._placed()
+
+    def _placed(self) -> Placed:
+        fresh = self._output.rows[: self._output.count]
+        old = self._before
+        blocks = [block for block, _, _ in self._blocks]
+        before = [(known, taken) for _, known, taken in self._blocks]
+        starts = np.cumsum([0, *(block.count for block in blocks)]).tolist()
+        parts, at = [], 0
+        for block, (known, taken), start in zip(blocks, before, starts[:-1], strict=True):
+            if taken and known is not None and old is not None:
+                parts.append(old.rows[known.first : known.first + known.count])
+            else:
+                parts.append(fresh[at : at + block.count])
+                at += block.count
+            block.first = start
+        if old is not None and all(taken for _, taken in before) and len(old.rows) == starts[-1]:
+            rows = old.rows
+        else:
+            rows = fresh if at == starts[-1] else Rows.join(parts)
+        return Placed(self.origin, rows, blocks, before)
+
+    # Blocks
+
+    def _begin(self, of: tuple[str, ...], sources: Iterable[Any]) -> bool:
+        """Begin a block; False where all that it is placed from is as it was in the frame before, whose rows are then taken over."""
+        known = self._known.get(of)
+        if known is not None and self._before is not None and known.reach <= self.limit:
+            changed = max((self.reader.latest(source, self._latest) for source in sources), default=0)
+            if changed < self.reader.frame:
+                for mesh, _ in known.pairs:
+                    source = self.meshes.source(mesh)
+                    source.origin = np.zeros(3) if source.origin is None else source.origin
+                block = Block(of, 0, known.count, known.pairs, known.lamps, known.dropped, known.reach)
+                self._blocks.append((block, known, True))
+                return False
+        self.block = Block(of, self._output.count)
+        self._blocks.append((self.block, known, False))
+        return True
+
+    def _plain(self, nodes: list[Node]) -> None:
+        """Objects themselves."""
+        if not self._begin(("",), nodes):
+            return
+        groups: dict[int, list[int]] = {}
+        shown: list[Node] = []
+        for node in nodes:
+            if node.lamp is not None:
                 self._lamp(node, Placements(node.world[None], int(Kind.OBJECT), -1, node.visible, node.marks))
             elif node.geometry is not None and node.geometry.mesh >= 0:
-                groups.setdefault((node.geometry.mesh, node.geometry.slots), []).append(node)
-        for (mesh, slots), members in groups.items():
-            visible = np.array([n.visible for n in members], np.uint8)
-            marks = np.array([n.marks for n in members], np.uint8)
-            at = Placements(np.stack([n.world for n in members]), int(Kind.OBJECT), -1, visible, marks)
-            self._emit(mesh, slots, np.array([n.name for n in members], np.int32), VISIBLE, 0, at)
+                groups.setdefault(node.geometry.mesh, []).append(len(shown))
+                shown.append(node)
+        if not shown:
+            return
+        world = np.stack([node.world for node in shown])
+        columns = [(n.geometry.offset, n.name, n.visible, n.marks) for n in shown if n.geometry is not None]
+        slots, names, visible, marks = np.array(columns, np.int32).T
+        for mesh, members in groups.items():
+            at = Placements(world[members], int(Kind.OBJECT), -1, visible[members].astype(np.uint8), marks[members].astype(np.uint8))
+            self._emit(mesh, slots[members], names[members], VISIBLE, 0, at)
+        self.block.count = self._output.count - self.block.first
+
+    def _instancer(self, of: tuple[str, ...], hosts: list[Node]) -> None:
+        """What objects instance: one that does by nodes, or several that instance the same collection."""
+        if self._begin(of, hosts):
+            self._instances_of([(n, Placements(n.world[None], int(n.kind), n.name, n.visible, n.marks)) for n in hosts], (), 0)
+            self.block.count = self._output.count - self.block.first
+
+    # Placing
 
     def _object(self, node: Node, at: Placements, replaced: bool = False) -> None:
         """An instanced object, without what it instances itself. replaced: by its parent's vertex or face instancing."""
         if not node.shown or node.alone or (node.replaced and not replaced):
             return
-        if node.light is not None:
+        if node.lamp is not None:
             self._lamp(node, at)
         elif node.geometry is not None and node.geometry.mesh >= 0:
-            self._emit(node.geometry.mesh, node.geometry.slots, node.name, node.visible, node.marks & int(InstanceFlag.SHADOW_CATCHER), at)
+            self._emit(node.geometry.mesh, node.geometry.offset, node.name, node.visible, node.marks & int(InstanceFlag.SHADOW_CATCHER), at)
 
     def _instances_of(self, hosts: Sequence[tuple[Node, Placements]], stack: tuple[int, ...], depth: int) -> None:
         """What objects instance, for objects placed at the same depth. Those of one collection are taken together."""
         if depth >= MAX_DEPTH:
             return
-        together: dict[int, list[Placements]] = {}
+        together: dict[str, tuple[Members, list[Placements]]] = {}
         for node, at in hosts:
             if node.key in stack or not len(at):
                 continue
             if node.kind != Kind.COLLECTION and node.geometry is not None:
                 self._geometry_instances(node.geometry, node, at, (*stack, node.key))
             else:
-                members = self.members(node.collection)
-                if any(child.key == node.key for _, child in members.objects):
+                members = self.reader.members(node.collection)
+                if any(child is node for _, child in members.objects):
                     self._collection(members, compose(at.transform, members.offset), at, (*stack, node.key))
                 else:
-                    together.setdefault(members.key, []).append(at)
-        for key, parts in together.items():
+                    together.setdefault(members.full_name, (members, []))[1].append(at)
+        for members, parts in together.values():
             at = Placements.join(parts)
-            members = self._members[key]
             self._collection(members, compose(at.transform, members.offset), at, stack)
 
     def _collection(self, members: Members, spaces: F64, at: Placements, stack: tuple[int, ...]) -> None:
@@ -416,7 +339,7 @@ class Collector:
                     self._collection(target, compose(child.transform, target.offset), child, stack)
                 else:
                     if target.mesh >= 0:
-                        self._emit(target.mesh, target.slots, owner.name, VISIBLE, 0, child)
+                        self._emit(target.mesh, target.offset, owner.name, VISIBLE, 0, child)
                     self._geometry_instances(target, owner, child, stack)
 
     @staticmethod
@@ -426,76 +349,50 @@ class Collector:
         return at.inside(transform, placement, row.astype(np.int32))
 
     def _lamp(self, node: Node, at: Placements) -> None:
-        visible = node.visible & at.visible
+        assert node.lamp is not None
         transform = at.transform.copy()
         transform[:, :, 3] -= self.origin
-        self.lamps.append(Lamp(node.light, node.light.name, visible, transform))
+        self.block.lamps.append(Lamp(node.lamp, node.visible & at.visible, transform))
 
-    def _emit(self, mesh: int, slots: int, name: Ints, visible: int, marks: int, at: Placements) -> None:
+    def _emit(self, mesh: int, slots: Ints, name: Ints, visible: int, marks: int, at: Placements) -> None:
         """Instances of a mesh: visibility of the object and of the top-level object combined (invisible ones left out), unusable transforms left out."""
         flags: Ints = (at.visible & visible) | at.marks | marks
         if not isinstance(flags, int):
             flags = np.asarray(flags, np.uint8)
         seen = (flags & VISIBLE) != 0
-        out, count = self._output, len(at)
+        source, out, count = self.meshes.source(mesh), self._output, len(at)
         out.reserve(count)
-        room = slice(out.count, out.count + count)
-        transform, bounds, good = out.transform[room], out.bounds[room], np.empty(count, np.bool_)
-        low, high = self.meshes[mesh].bounds.astype(np.float64)
-        usable = finish(np.ascontiguousarray(at.transform), self.origin, low, high, transform, bounds, good)
+        rows = out.rows[out.count : out.count + count]
+        good = np.empty(count, np.bool_)
+        low, high = source.bounds.astype(np.float64)
+        reach = np.maximum(np.abs(low), np.abs(high)).max() * np.linalg.norm(at.transform[:, :, :3], axis=1).max(initial=0.0)
+        self.block.reach = max(self.block.reach, float(reach) if np.isfinite(reach) else np.inf)
+        if source.origin is None:
+            source.origin = np.zeros(3) if self.camera is None else local_origin(low, high, at.transform, self.camera)
+        placed = shifted(at.transform, source.origin) if source.origin.any() else np.ascontiguousarray(at.transform)
+        usable = finish(placed, self.origin, low - source.origin, high - source.origin, rows.transform, rows.bounds, good)
         keep: Any = slice(None)
         if usable < count:
-            self._dropped[self.meshes[mesh].name] = self._dropped.get(self.meshes[mesh].name, 0) + count - usable
+            self.block.dropped[source.name] = self.block.dropped.get(source.name, 0) + count - usable
         if usable < count or not np.all(seen):
             keep = good & seen
             count = int(keep.sum())
-            transform[:count], bounds[:count] = transform[keep], bounds[keep]
+            rows.transform[:count], rows.bounds[:count] = rows.transform[keep], rows.bounds[keep]
+        if not count:
+            return
         part = slice(out.count, out.count + count)
         out.count += count
-        out.mesh[part], out.slots[part], out.flags[part] = mesh, slots, _take(flags, keep)
+        out.rows.mesh[part], out.rows.slots[part], out.rows.flags[part] = mesh, _take(slots, keep), _take(flags, keep)
+        self.block.pairs.update((mesh, offset) for offset in ([slots] if isinstance(slots, int) else np.unique(slots).tolist()))
         record, arrays = np.zeros((), KEY), {}
         record["path"] = -1
-        for field, value in (("kind", at.kind), ("host", at.host), ("object", name)):
+        for name_, value in (("kind", at.kind), ("host", at.host), ("object", name)):
             if isinstance(value, int):
-                record[field] = value
+                record[name_] = value
             else:
-                arrays[field] = value[keep]
-        out.records[part] = record
-        for field, values in arrays.items():
-            out.records[field][part] = values
+                arrays[name_] = value[keep]
+        out.rows.records[part] = record
+        for name_, values in arrays.items():
+            out.rows.records[name_][part] = values
         for depth, level in enumerate(at.path):
-            out.records["path"][part, depth] = _take(level, keep)
-
-    # Results
-
-    def result(self) -> tuple[Instances, Keys]:
-        """All instances found, in a stable order; and their keys."""
-        for name, count in self._dropped.items():
-            self.warnings.append(f"{count} instance{'s' if count > 1 else ''} of {name!r} left out: the transform is singular or not finite")
-        out, n = self._output, self._output.count
-        return Instances(out.transform[:n], out.mesh[:n], out.slots[:n], out.flags[:n], out.bounds[:n]), Keys(out.records[:n], tuple(self._names))
-
-    def mesh_bounds(self) -> F32:
-        """(M, 2, 3) float32."""
-        return np.stack([m.bounds for m in self.meshes]) if self.meshes else np.zeros((0, 2, 3), np.float32)
-
-
-def _visible_members(collection: Any) -> Iterator[Any]:
-    """Objects of an instanced collection that render: neither they nor a collection on the way hidden."""
-    if collection.hide_render:
-        return
-    for item in collection.objects:
-        if not item.hide_render:
-            yield item
-    for child in collection.children:
-        yield from _visible_members(child)
-
-
-def _render_objects(layer: Any) -> Iterator[Any]:
-    """Objects that a view layer renders, seen from its tree of layer collections."""
-    if layer.collection.hide_render:
-        return
-    if not layer.exclude:
-        yield from layer.collection.objects
-    for child in layer.children:
-        yield from _render_objects(child)
+            out.rows.records["path"][part, depth] = _take(level, keep)

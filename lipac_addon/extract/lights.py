@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.placing import usable_transforms
-from ...core.scene import LIGHT, AreaShape, LightKind, Records
-from .instances import Lamp
+from ...core.scene import F64, LIGHT, AreaShape, LightKind, Records
 
 KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT, "AREA": LightKind.AREA}
 
@@ -37,6 +38,32 @@ def _node_strength(light: Any, report: Callable[[str], None]) -> np.ndarray[Any,
     return factor
 
 
+@dataclass(frozen=True)
+class LampData:
+    """A light object's data. record: one of LIGHT as bytes, without what depends on the place; lines: what is rendered differently."""
+
+    name: str
+    record: bytes
+    lines: tuple[str, ...]
+
+
+@dataclass
+class Lamp:
+    """Where a lamp is placed, (n, 3, 4) float64 object to world minus `Scene.origin`, and which rays see it: one for all, or per placement."""
+
+    data: LampData
+    visible: int | NDArray[Any]
+    transform: F64
+
+
+def read_lamp(light: Any) -> LampData | None:
+    """The data of a bpy.types.Light; None for a portal, which guides Cycles' sampling and is no light."""
+    if light.type == "AREA" and light.cycles.is_portal:
+        return None
+    lines: list[str] = []
+    return LampData(light.name, _template(light, lines.append).tobytes(), tuple(lines))
+
+
 def _template(light: Any, report: Callable[[str], None]) -> Records:
     """What does not depend on the transform, as a record of shape (1,)."""
     r = np.zeros(1, LIGHT)
@@ -62,25 +89,23 @@ def _template(light: Any, report: Callable[[str], None]) -> Records:
     return r
 
 
-def extract_lights(lamps: Sequence[Lamp], report: Callable[[str], None], warn: Callable[[str], None]) -> Records:
+def place_lamps(lamps: Sequence[Lamp], report: Callable[[str], object], warn: Callable[[str], object]) -> Records:
     """(L,) of LIGHT for all placed lights. Axes are normalised; the scale of the object goes into the size of area lights, as in Cycles."""
     parts = []
     for lamp in lamps:
-        light = lamp.data
-        if light.type == "AREA" and light.cycles.is_portal:
-            continue  # guides Cycles' sampling, is no light
+        for line in lamp.data.lines:
+            report(line)
         transform = lamp.transform
         good = usable_transforms(transform)
         if not good.all():
-            warn(f"{int((~good).sum())} of light {lamp.name!r} left out: the transform is singular or not finite")
+            warn(f"{int((~good).sum())} of light {lamp.data.name!r} left out: the transform is singular or not finite")
             transform = transform[good]
-        records = np.repeat(_template(light, report), len(transform))
+        records = np.repeat(np.frombuffer(lamp.data.record, LIGHT), len(transform))
         lengths = np.linalg.norm(transform[:, :, :3], axis=1)
         for k, axis in enumerate(("axis_x", "axis_y", "axis_z")):
             records[axis] = transform[:, :, k] / lengths[:, k : k + 1]
         records["position"] = transform[:, :, 3]
         records["size"] *= lengths[:, :2]
-        visible = lamp.visible if isinstance(lamp.visible, int) else np.asarray(lamp.visible)[good]
-        records["visibility"] = visible
+        records["visibility"] = lamp.visible if isinstance(lamp.visible, int) else np.asarray(lamp.visible)[good]
         parts.append(records)
     return np.concatenate(parts) if parts else np.zeros(0, LIGHT)

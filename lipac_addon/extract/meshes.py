@@ -6,6 +6,8 @@ can be read after the dependency graph is gone. Nothing else of Blender is kept.
 
 from __future__ import annotations
 
+import hashlib
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, overload
@@ -14,12 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.placing import LARGEST
-from ...core.scene import F32, U32, Mesh
+from ...core.scene import F32, F64, U32, Mesh
+
+NO_BOUNDS = np.array([[1.0] * 3, [-1.0] * 3], np.float32)  # low above high: no triangles
+EMPTY = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
 
 @dataclass
 class MeshSource:
-    """Where a mesh comes from: its geometry, name for messages, number of material slots that its triangles use, and whether any material needs UVs."""
+    """Where a mesh comes from: its geometry, name for messages, number of material slots that its triangles use, and whether any material needs UVs.
+
+    origin: (3,) where its coordinates begin (`core.placing.local_origin`), set when it is first placed; bounds are in Blender's own coordinates.
+    loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the first who asks.
+    """
 
     geometry: Any  # GeometrySet
     name: str
@@ -27,6 +36,41 @@ class MeshSource:
     slot_count: int
     broken: bool  # has vertices that are not finite
     needs_uv: bool = False
+    origin: F64 | None = None
+    loaded: Loaded | None = None
+    ready: Mesh | None = None
+
+    def local_bounds(self) -> F32:
+        """(2, 3) box as `load` gives the positions."""
+        return self.bounds if self.origin is None else (self.bounds - self.origin).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A mesh that was read: a reference to its triangles that keeps nothing alive, and digests (SHA-256) of triangles with slots, and of all else."""
+
+    triangles: weakref.ref[NDArray[Any]]
+    topology: bytes
+    shape: bytes
+
+    @staticmethod
+    def of(mesh: Mesh) -> Loaded:
+        """The record of a mesh."""
+        return Loaded(weakref.ref(mesh.triangles), _digest(mesh.triangles, mesh.slots), _digest(mesh.positions, mesh.normals, mesh.uvs))
+
+    @property
+    def held(self) -> bool:
+        """Whether somebody still has the mesh."""
+        return self.triangles() is not None
+
+
+def _digest(*arrays: NDArray[Any] | None) -> bytes:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(b"none" if array is None else repr(array.shape).encode())
+        if array is not None:
+            digest.update(np.ascontiguousarray(array))
+    return digest.digest()
 
 
 def read(collection: Any, name: str, count: int, width: int = 1, dtype: type = np.float32) -> NDArray[Any]:
@@ -46,19 +90,25 @@ def _usable(positions: F32) -> NDArray[np.bool_]:
         return np.asarray((np.abs(positions) <= LARGEST).all(axis=1))
 
 
+def _box(positions: F32) -> F32:
+    """(2, 3) lowest and highest of (V, 3)."""
+    columns = positions.T.copy()  # one coordinate after the other: many times faster
+    return np.stack((columns.min(axis=1), columns.max(axis=1)))
+
+
 def describe(geometry: Any, name: str) -> MeshSource | None:
     """Bounds and slots of the mesh in a GeometrySet; None when it has no faces or no usable vertex."""
     mesh = geometry.mesh
     if mesh is None or len(mesh.polygons) == 0:
         return None
     positions = _positions(mesh)
-    bounds = np.stack((positions.min(axis=0), positions.max(axis=0)))
+    bounds = _box(positions)
     broken = not np.abs(bounds).max() <= LARGEST  # also true for NaN, which min and max hand on
     if broken:
         positions = positions[_usable(positions)]
         if not len(positions):
             return None
-        bounds = np.stack((positions.min(axis=0), positions.max(axis=0)))
+        bounds = _box(positions)
     index = mesh.attributes.get("material_index")
     slots = int(read(index.data, "value", len(mesh.polygons), dtype=np.int32).max()) + 1 if index is not None and index.domain == "FACE" else 1
     return MeshSource(geometry, name, bounds.astype(np.float32), min(max(slots, 1), 1 << 16), broken)
@@ -83,6 +133,8 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
         usable = _usable(positions)
         kept = usable[vertices].all(axis=1)
         positions[~usable] = source.bounds[0]  # unused; but no NaN may reach a builder
+    if source.origin is not None and source.origin.any():
+        positions = (positions - source.origin).astype(np.float32)
     loops: NDArray[np.int32] | None = None
     if mesh.normals_domain != "FACE" or source.needs_uv:
         loops = read(mesh.loop_triangles, "loops", count, 3, np.int32)[kept]
@@ -100,7 +152,7 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
 class LazyMeshes(Sequence[Mesh]):
     """`Scene.meshes`: item m is read from Blender each time it is asked for, so keep what you need. Not to be asked for by two threads at once."""
 
-    def __init__(self, sources: Sequence[MeshSource], uv_maps: Sequence[str]) -> None:
+    def __init__(self, sources: Sequence[MeshSource | None], uv_maps: Sequence[str]) -> None:
         self.sources = list(sources)
         self.uv_maps = tuple(uv_maps)
 
@@ -113,5 +165,12 @@ class LazyMeshes(Sequence[Mesh]):
     def __getitem__(self, index: slice) -> list[Mesh]: ...
     def __getitem__(self, index: int | slice) -> Mesh | list[Mesh]:
         if isinstance(index, slice):
-            return [load(source, self.uv_maps) for source in self.sources[index]]
-        return load(self.sources[index], self.uv_maps)
+            return [self._load(source) for source in self.sources[index]]
+        return self._load(self.sources[index])
+
+    def _load(self, source: MeshSource | None) -> Mesh:
+        if source is None:
+            return EMPTY
+        mesh, source.ready = source.ready or load(source, self.uv_maps), None
+        source.loaded = Loaded.of(mesh)
+        return mesh

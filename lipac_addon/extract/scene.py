@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...core.errors import InputError
+from ...core.placing import scene_origin
 from ...core.scene import F64, Camera, Scene
 from ..keys import Keys
 from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera
@@ -77,13 +78,13 @@ def extract(depsgraph: Any, world: ExtractedWorld | None = None, allow_no_camera
     if _stand_in(scene) and not allow_no_camera:
         raise InputError(NO_CAMERA)
     camera = None if _stand_in(scene) else extract_camera(scene.camera, scene, film)
-    origin = np.zeros(3) if camera is None else np.round(camera.to_world[:, 3])
+    origin = np.zeros(3) if camera is None else scene_origin(camera)
     textures = TextureTable(print)
     materials = MaterialTable(textures)
     slots = _Slots(materials, getattr(depsgraph.view_layer_eval, "material_override", None))
 
     def collect(origin: F64) -> Collector:
-        collector = Collector(depsgraph, origin, slots)
+        collector = Collector(depsgraph, origin, slots, camera)
         collector.run()
         return collector
 
