@@ -92,9 +92,9 @@ def scene_origin(camera: Camera) -> F64:
 def local_origin(low: F64, high: F64, transform: F64, camera: Camera) -> F64:
     """Where the coordinates of a mesh should begin, in its own space, (3,) float64: zeros where they may stay as they are.
 
-    low, high (3,) float64: its box; transform (n, 3, 4) float64: its instances; camera: in the same world. A mesh far from its own origin, or one that reaches far
-    beyond the camera, loses digits just where it is looked at. Its coordinates then begin near the point of its box that is nearest to the camera, of the instance
-    that is nearest; on a grid, so that a camera that moves a little changes nothing.
+    low, high (3,) float64: its box; transform (n, 3, 4) float64: its instances; camera: in the same world. A mesh far from its own origin, or one that reaches
+    far beyond the camera, loses digits just where it is looked at. Its coordinates then begin near the point of its box that is nearest to the camera, of the
+    instance that is nearest; on a grid, so that a camera that moves a little changes nothing.
     """
     zero = np.zeros(3)
     reach = np.maximum(np.abs(low), np.abs(high)).max()

@@ -141,12 +141,12 @@ def interpolate(mesh, m, triangle, b1, b2, surf, frame):
 
     mesh: address of the mesh record; m: address of the instance's transform. Fills surf, frame[F_NG], frame[F_NS] and frame[F_N], outward as the mesh says.
 
-    Computed in float64, so that neither a triangle of 1e-9 m loses its normal nor one of 1e4 m its millimetres; what is left of our error is the rounding of the
-    position. The bound is of that and of what Embree, in float32, makes of a ray from there (Higham's first-order bounds, as in pbrt-v4 section 6.8, u = 2^-24):
+    Computed in float64, so that neither a triangle of 1e-9 m loses its normal nor one of 1e4 m its millimetres; what is left of our error is the rounding of
+    the position. The bound is of that and of what Embree, in float32, makes of a ray from there (first-order bounds, as in pbrt-v4 section 6.8, u = 2^-24):
     - Taking the origin to object space, M^-1 p - M^-1 t: three multiply-adds, two roundings of a cofactor, one of the division, and the determinant's four:
-      10 u of (sums of |products|), not of results, which may cancel. Two more for what the result loses when it comes back by |M|.
-    - Vertices minus origin: u of the distances. The normal's direction, from edges of these differences: two roundings of each difference and two of each product
-      in the best conditioned cross product of two edges, relative to the area: 4 u times (1 + 1 / sine of the angle), which is capped at slivers of 2^-10.
+      10 u of sums of |products|, not of results, which may cancel. Two more for what the result loses when it comes back by |M|.
+    - Vertices minus origin: u of the distances. The normal's direction, from edges of these differences: two roundings of each difference and two of each
+      product in the best conditioned cross product of two edges, relative to the area: 4 u times (1 + 1 / sine of the angle), capped at slivers of 2^-10.
     """
     ax, ay, az = vertex(mesh, triangle, 0)
     bx, by, bz = vertex(mesh, triangle, 1)
