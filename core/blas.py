@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import embree
-from .scene import F32, Mesh, Records
+from .scene import F32, I32, Mesh, Records
 
 MESH = np.dtype(
     [
@@ -26,11 +29,13 @@ MESH = np.dtype(
 
 @dataclass(eq=False)
 class _Blas:
-    """A loaded mesh with its Embree scene; `mesh` keeps the arrays alive that Embree and the kernels read."""
+    """A loaded mesh with its Embree scene; `mesh` keeps the arrays alive that Embree and the kernels read. geometry: 0 where it is never to be refitted."""
 
     mesh: Mesh
     scene: int
-    bytes: int
+    geometry: int
+    bytes: int = 0
+    seconds: float = 0.0
 
 
 def _padded(positions: F32) -> F32:
@@ -41,36 +46,61 @@ def _padded(positions: F32) -> F32:
     return out
 
 
-def _address(array: np.ndarray | None) -> int:
-    return 0 if array is None else array.ctypes.data
-
-
-def loaded(source: Mesh) -> tuple[Mesh, tuple[int, ...]]:
-    """A mesh whose arrays Embree and the kernels can read in place, and its record (MESH): valid while the mesh lives."""
-    mesh = Mesh(
-        _padded(source.positions),
+def loaded(source: Mesh, positions: F32 | None = None) -> Mesh:
+    """A mesh whose arrays Embree and the kernels can read in place. positions: an earlier copy to bring up to date, instead of a new one."""
+    if positions is None:
+        positions = _padded(source.positions)
+    else:
+        positions[...] = source.positions
+    return Mesh(
+        positions,
         np.ascontiguousarray(source.triangles, np.uint32),
         None if source.normals is None else np.ascontiguousarray(source.normals, np.float32),
         None if source.uvs is None else np.ascontiguousarray(source.uvs, np.float32),
         None if source.slots is None else np.ascontiguousarray(source.slots, np.uint16),
     )
-    return mesh, (*map(_address, (mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.slots)), len(mesh.triangles))
+
+
+def _address(array: np.ndarray | None) -> int:
+    return 0 if array is None else array.ctypes.data
+
+
+def record(mesh: Mesh) -> tuple[int, ...]:
+    """The MESH record of a mesh that is `loaded`: valid while the mesh lives."""
+    return (*map(_address, (mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.slots)), len(mesh.triangles))
+
+
+@dataclass
+class Work:
+    """BLAS work done: how many were built and refitted, and the seconds of either, reading the meshes included, on whatever thread."""
+
+    built: int = 0
+    refitted: int = 0
+    build_s: float = 0.0
+    refit_s: float = 0.0
 
 
 class BlasCache:
     """The meshes of a scene that are loaded and built.
 
     table: (M,) of MESH; scenes: (M,) uint64 Embree handles, 0 where there is none; bytes_of: (M,) int64, Embree's memory per BLAS.
+    work: what was done since somebody last put a new `Work` there.
     """
 
     def __init__(self, meshes: Sequence[Mesh], device: embree.Device | None = None) -> None:
         self.device = device or embree.shared_device()
         self._meshes = meshes
         self._built: dict[int, _Blas] = {}
+        self._coming: dict[int, tuple[Future[_Blas], int]] = {}  # what another thread builds, with its number of triangles
+        self._stale: set[int] = set()  # built, or coming, from vertices of an earlier frame
+        self._worker: ThreadPoolExecutor | None = None
+        self._rate = 1e-6  # seconds per triangle of the latest builds
         self.table: Records = np.zeros(len(meshes), MESH)
         self.scenes = np.zeros(len(meshes), np.uint64)
         self.bytes_of = np.zeros(len(meshes), np.int64)
-        self.built_total = 0
+        self._known = np.zeros(len(meshes), np.int64)  # bytes_of when it was last built
+        self._deforms = np.zeros(len(meshes), bool)
+        self.work = Work()
 
     @property
     def bytes(self) -> int:
@@ -80,42 +110,157 @@ class BlasCache:
     def __len__(self) -> int:
         return len(self._built)
 
-    def need(self, meshes: np.ndarray, step: Callable[[int, int], None] | None = None) -> int:
-        """Load and build what is missing of meshes (indices, repeats allowed). step(done, of) is called after each. Returns how many were built.
+    def advance(self, meshes: Sequence[Mesh], deformed: I32, replaced: I32) -> None:
+        """Go on to the next frame's meshes, at least as many: `core.change.Change` says what deformed and replaced are. Nothing is read or built."""
+        self._meshes = meshes
+        more = len(meshes) - len(self.scenes)
+        if more:
+            self.table, self.scenes, self.bytes_of, self._known, self._deforms = (
+                np.concatenate([a, np.zeros(more, a.dtype)]) for a in (self.table, self.scenes, self.bytes_of, self._known, self._deforms)
+            )
+        for index in replaced.tolist():
+            self._free(index)
+        self._known[replaced] = 0
+        self._deforms[replaced] = False
+        self._deforms[deformed] = True
+        self._stale.update(i for i in deformed.tolist() if i in self._built or i in self._coming)
 
-        Raises MemoryError where Embree runs out.
+    def need(self, meshes: np.ndarray, step: Callable[[int, int], None] | None = None) -> int:
+        """Load and build what is missing of meshes (indices, repeats allowed), and refit what has deformed. step(done, of) is called after each.
+
+        Returns how many were built or refitted. Raises MemoryError where Embree runs out.
         """
         wanted = np.unique(meshes)
-        missing = wanted[self.scenes[wanted] == 0]
-        for done, index in enumerate(missing.tolist(), 1):
-            self._build(index)
+        missing = wanted[self.scenes[wanted] == 0].tolist()
+        stale = sorted(self._stale.intersection(wanted.tolist())) if self._stale else []
+        for done, index in enumerate([*stale, *missing], 1):
+            if index in self._built:
+                self._refit(index)
+            else:
+                self._install(index, self._build(index, self._load(index)))
             if step:
-                step(done, len(missing))
-        self.built_total += len(missing)
-        return len(missing)
+                step(done, len(stale) + len(missing))
+        return len(stale) + len(missing)
+
+    def provide(self, meshes: np.ndarray, seconds: float, limit: int, step: Callable[[int, int], None] | None = None) -> None:
+        """`need` within bounds. meshes: distinct indices, the most valuable first.
+
+        limit: bytes of all BLASes together, 0 for any: what is not among meshes is freed, and of meshes the least valuable, or they are not built.
+        seconds: of work to start in this frame, 0 for any: what has deformed is refitted first, then what is missing is read here and built by another
+        thread, to be there in one of the next frames; at least one of each, so that all come in the end.
+        """
+        if limit:
+            meshes = self._affordable(meshes, limit)
+        if not seconds:
+            self.need(meshes, step)
+            return
+        self._collect()
+        spent = 0.0
+        for index in meshes.tolist() if self._stale else ():
+            if index in self._stale and index in self._built:
+                spent += self._refit(index)
+                if spent > seconds:
+                    break
+        for index in meshes[self.scenes[meshes] == 0].tolist():
+            if self._coming and spent + self._rate * self._ahead() >= seconds:
+                break
+            if index not in self._coming:
+                mesh = self._load(index)
+                self._worker = self._worker or ThreadPoolExecutor(1, "blas")
+                self._coming[index] = (self._worker.submit(self._build, index, mesh), len(mesh.triangles))
 
     def keep_only(self, meshes: np.ndarray) -> None:
         """Free every BLAS, and its mesh, that is not among meshes (indices)."""
         kept = set(np.unique(meshes).tolist())
-        for index in [i for i in self._built if i not in kept]:
-            del self._built[index]
-            self.table[index] = np.zeros((), MESH)
-            self.scenes[index] = self.bytes_of[index] = 0
+        for index in [i for i in (*self._built, *self._coming) if i not in kept]:
+            self._free(index)
 
-    def _build(self, index: int) -> None:
-        mesh, record = loaded(self._meshes[index])
-        device, lib = self.device, embree.lib
+    def _affordable(self, meshes: np.ndarray, limit: int) -> np.ndarray:
+        """As many of the first of meshes as fit into limit bytes, by what they took when they were last built; all others are freed."""
+        known = self._known[meshes]
+        guess = int(known[known > 0].mean()) if (known > 0).any() else 0
+        fits = np.cumsum(np.where(known > 0, known, guess)) <= limit
+        self.keep_only(meshes[fits])
+        return meshes[fits]
+
+    def _load(self, index: int) -> Mesh:
+        """Read a mesh, here: what produces `Scene.meshes` need not be safe on other threads."""
+        start = time.perf_counter()
+        mesh = loaded(self._meshes[index])
+        self._stale.discard(index)
+        self.work.build_s += time.perf_counter() - start
+        return mesh
+
+    def _build(self, index: int, mesh: Mesh) -> _Blas:
+        """Build the BLAS of a loaded mesh, on any thread. What has deformed once is built for refitting: a two-level structure, which Embree can refit."""
+        start = time.perf_counter()
+        device, lib, refits = self.device, embree.lib, bool(self._deforms[index])
         geometry = lib.rtcNewGeometry(device.handle, embree.GEOMETRY_TRIANGLE)
         if len(mesh.triangles):
             embree.shared_buffer(geometry, embree.BUFFER_VERTEX, embree.FORMAT_FLOAT3, mesh.positions, 12)
             embree.shared_buffer(geometry, embree.BUFFER_INDEX, embree.FORMAT_UINT3, mesh.triangles, 12)
         lib.rtcSetGeometryMask(geometry, 0xFFFFFFFF)  # the ray's mask is tested against the instance's alone
+        if refits:
+            lib.rtcSetGeometryBuildQuality(geometry, embree.QUALITY_REFIT)
         lib.rtcCommitGeometry(geometry)
-        scene = device.new_scene(embree.SCENE_ROBUST | embree.SCENE_COMPACT)
+        if refits:
+            scene = device.new_scene(embree.SCENE_ROBUST | embree.SCENE_COMPACT | embree.SCENE_DYNAMIC, embree.QUALITY_LOW)
+        else:
+            scene = device.new_scene(embree.SCENE_ROBUST | embree.SCENE_COMPACT)
         lib.rtcAttachGeometry(scene, geometry)
-        lib.rtcReleaseGeometry(geometry)
-        blas = _Blas(mesh, scene, 0)
-        blas.bytes = device.commit(scene, blas, f"build the BLAS of mesh {index} with {len(mesh.triangles):,} triangles")
+        lib.rtcReleaseGeometry(geometry)  # the scene holds it
+        blas = _Blas(mesh, scene, geometry if refits else 0)
+        device.own(scene, blas)
+        blas.bytes = device.commit(scene, f"build the BLAS of mesh {index} with {len(mesh.triangles):,} triangles")
+        blas.seconds = time.perf_counter() - start
+        return blas
+
+    def _refit(self, index: int) -> float:
+        """Bring a built BLAS to the mesh's present vertices; build it anew where it is not made for refitting, or has other triangles. Returns seconds."""
+        start = time.perf_counter()
+        blas, source = self._built[index], self._meshes[index]
+        same = source.positions.shape == blas.mesh.positions.shape and np.array_equal(source.triangles, blas.mesh.triangles)
+        if not (same and blas.geometry):
+            self._free(index)
+            self._install(index, self._build(index, loaded(source)))
+        else:
+            mesh = loaded(source, blas.mesh.positions)
+            blas.mesh = dataclasses.replace(mesh, triangles=blas.mesh.triangles)  # Embree reads those
+            lib = embree.lib
+            lib.rtcUpdateGeometryBuffer(blas.geometry, embree.BUFFER_VERTEX, 0)
+            lib.rtcCommitGeometry(blas.geometry)
+            self.bytes_of[index] += self.device.commit(blas.scene, f"refit the BLAS of mesh {index} with {len(blas.mesh.triangles):,} triangles")
+            self.table[index] = record(blas.mesh)
+            self.work.refitted += 1
+            self.work.refit_s += time.perf_counter() - start
+        self._stale.discard(index)
+        return time.perf_counter() - start
+
+    def _install(self, index: int, blas: _Blas) -> None:
+        """Enter a built BLAS into the tables."""
         self._built[index] = blas
-        self.scenes[index], self.bytes_of[index] = scene, blas.bytes
-        self.table[index] = record
+        self.scenes[index], self.bytes_of[index], self._known[index] = blas.scene, blas.bytes, blas.bytes
+        self.table[index] = record(blas.mesh)
+        self.work.built += 1
+        self.work.build_s += blas.seconds
+        if len(blas.mesh.triangles) > 100:
+            self._rate = blas.seconds / len(blas.mesh.triangles)
+
+    def _collect(self) -> None:
+        """Enter what the other thread has finished."""
+        for index in [i for i, (future, _) in self._coming.items() if future.done()]:
+            self._install(index, self._coming.pop(index)[0].result())
+
+    def _ahead(self) -> int:
+        """Triangles that the other thread has still to build."""
+        return sum(triangles for future, triangles in self._coming.values() if not future.done())
+
+    def _free(self, index: int) -> None:
+        """Forget a mesh and its BLAS, also one that is still being built."""
+        if index in self._coming:
+            self._coming.pop(index)[0].cancel()
+        if self._built.pop(index, None) is not None:
+            self.table[index] = np.zeros((), MESH)
+            self.scenes[index] = self.bytes_of[index] = 0
+        self._stale.discard(index)
+

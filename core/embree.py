@@ -32,8 +32,8 @@ INVALID = 0xFFFFFFFF
 GEOMETRY_TRIANGLE, GEOMETRY_USER, GEOMETRY_INSTANCE_ARRAY = 0, 120, 122
 BUFFER_INDEX, BUFFER_VERTEX, BUFFER_TRANSFORM = 0, 1, 23
 FORMAT_UINT, FORMAT_UINT3, FORMAT_FLOAT3, FORMAT_FLOAT3X4_COLUMN_MAJOR = 0x5001, 0x5003, 0x9003, 0x9234
-SCENE_COMPACT, SCENE_ROBUST = 2, 4
-QUALITY_MEDIUM = 1
+SCENE_DYNAMIC, SCENE_COMPACT, SCENE_ROBUST = 1, 2, 4
+QUALITY_LOW, QUALITY_MEDIUM, QUALITY_REFIT = 0, 1, 3
 
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "rtcNewDevice": (c_void_p, [c_char_p]),
@@ -49,6 +49,8 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "rtcReleaseGeometry": (None, [c_void_p]),
     "rtcCommitGeometry": (None, [c_void_p]),
     "rtcAttachGeometry": (c_uint, [c_void_p, c_void_p]),
+    "rtcSetGeometryBuildQuality": (None, [c_void_p, c_int]),
+    "rtcUpdateGeometryBuffer": (None, [c_void_p, c_int, c_uint]),
     "rtcSetGeometryMask": (None, [c_void_p, c_uint]),
     "rtcSetSharedGeometryBuffer": (None, [c_void_p, c_int, c_uint, c_int, c_void_p, c_size_t, c_size_t, c_size_t]),
     "rtcSetGeometryInstancedScenes": (None, [c_void_p, c_void_p, c_size_t]),
@@ -157,12 +159,14 @@ class Device:
             raise InputError("Embree found no usable processor: it needs SSE2 on x86-64, or an arm64 processor")
         weakref.finalize(self, lib.rtcReleaseDevice, self.handle).atexit = False
         self._bytes = np.zeros(1, np.int64)
+        self._unreported = 0
+        self._commits = threading.RLock()  # one at a time, so that each knows its bytes
         lib.rtcSetDeviceMemoryMonitorFunction(self.handle, _count_bytes.address, self._bytes.ctypes.data)
 
     @property
     def bytes(self) -> int:
         """Bytes that Embree holds on this device now."""
-        return int(self._bytes[0])
+        return int(self._bytes[0]) - self._unreported
 
     def check(self, doing: str) -> None:
         """Raise MemoryError or RuntimeError if Embree reported an error since the last call; doing completes "Embree failed to ..."."""
@@ -178,16 +182,22 @@ class Device:
         lib.rtcSetSceneBuildQuality(scene, quality)
         return scene
 
-    def _release(self, scene: int) -> None:
-        lib.rtcReleaseScene(scene)
+    def _release(self, scene: int, unreported: int) -> None:
+        with self._commits:
+            lib.rtcReleaseScene(scene)
+            self._unreported += unreported
 
-    def commit(self, scene: int, owner: object, doing: str) -> int:
-        """Build a scene's structure; it is released when owner is garbage. Returns the bytes that the build left allocated."""
-        before = self.bytes
-        weakref.finalize(owner, self._release, scene).atexit = False  # the bound method keeps the device, and its counter, until then
-        lib.rtcCommitScene(scene)
-        self.check(doing)
-        return self.bytes - before
+    def own(self, scene: int, owner: object, unreported: int = 0) -> None:
+        """Release a scene when owner is garbage. unreported: bytes that Embree then frees without telling its monitor."""
+        weakref.finalize(owner, self._release, scene, unreported).atexit = False  # the bound method keeps the device, and its counter, until then
+
+    def commit(self, scene: int, doing: str) -> int:
+        """Build a scene's structure, or bring it up to date. Returns the bytes that this left allocated. From any thread; doing as for `check`."""
+        with self._commits:
+            before = self.bytes
+            lib.rtcCommitScene(scene)
+            self.check(doing)
+            return self.bytes - before
 
 
 _shared: dict[int, Device] = {}

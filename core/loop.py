@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .blas import BlasCache
+from .blas import BlasCache, Work
 from .change import Change
 from .culling import CullOptions, State
 from .embree import Device, shared_device
@@ -91,6 +91,7 @@ class Loop:
         self.active = np.zeros(len(scene.instances), bool)
         self.kept = np.zeros(len(scene.instances), bool)  # what the frame before kept
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
+        self.blas = BlasCache(scene.meshes, self.device)
         self._enter(scene, cancelled, pinned)
 
     def advance(self, scene: Scene, change: Change, cancelled: Callable[[], bool] | None = None, pinned: np.ndarray | None = None) -> None:
@@ -99,6 +100,7 @@ class Loop:
             known = change.previous >= 0
             self.active = known & self.active[change.previous]
             self.kept = known & self.kept[change.previous]
+        self.blas.advance(scene.meshes, change.deformed, change.replaced)
         self._enter(scene, cancelled, pinned)
 
     def _enter(self, scene: Scene, cancelled: Callable[[], bool] | None, pinned: np.ndarray | None) -> None:
@@ -107,7 +109,7 @@ class Loop:
         self.cancelled = cancelled or (lambda: False)
         self.timer = _Timer()
         start = time.perf_counter()
-        self.blas = BlasCache(scene.meshes, self.device)
+        self.blas.work = Work()
         instances = scene.instances
         # What has no extent to meet takes no part: no triangles, or a transform that is not finite.
         self.exists = (instances.bounds[:, 0] <= instances.bounds[:, 1]).all(axis=1) & np.isfinite(instances.bounds).all(axis=(1, 2))
@@ -280,7 +282,10 @@ class Loop:
             "culled": int((~keep).sum()),
             "hitboxes": len(boxes),
             "meshes": len(self.blas),
-            "blas_built": self.blas.built_total,
+            "blas_built": self.blas.work.built,
+            "blas_refitted": self.blas.work.refitted,
+            "blas_s": self.blas.work.build_s,
+            "refit_s": self.blas.work.refit_s,
             "blas_bytes": self.blas.bytes,
             "tlas_bytes": tlas.bytes + boxes.bytes,
             **self.timer.seconds,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from .blas import MESH, loaded
+from .blas import MESH, loaded, record
 from .camera import aperture_point, camera_constants, camera_ray
 from .embree import HIT_U, HIT_V, PRIM_ID, RAY, intersect, set_ray
 from .film import filter_offset, filter_offsets
@@ -38,8 +38,8 @@ class MeshTable:
         """Load what is missing of meshes (indices, repeats allowed)."""
         for index in np.unique(meshes).tolist():
             if index not in self._loaded:
-                mesh, self.table[index] = loaded(self._meshes[index])
-                self._loaded[index] = mesh
+                self._loaded[index] = mesh = loaded(self._meshes[index])
+                self.table[index] = record(mesh)
 
     def __getitem__(self, index: int) -> Mesh:
         return self._loaded[index]

@@ -35,20 +35,22 @@ class Tlas:
         self._index = np.ascontiguousarray(entry_mesh, np.uint32)
         self._transform = np.ascontiguousarray(instances.transform[self.ids].transpose(0, 2, 1))  # columns, as Embree wants them
         self._only = np.zeros(1, np.uint32)
-        scene = device.new_scene(embree.SCENE_ROBUST)
+        scene, unreported = device.new_scene(embree.SCENE_ROBUST), 0
         for mask, a, b in zip(groups.tolist(), self.first[:-1].tolist(), self.first[1:].tolist(), strict=True):
             geometry = lib.rtcNewGeometry(device.handle, embree.GEOMETRY_INSTANCE_ARRAY)
             scenes, index = self._scenes, self._index[a:b]
             if b - a == 1:  # Embree (4.4) reads no index buffer of one item: it takes the first scene
                 scenes, index = self._scenes[index[0] :][:1], self._only
             lib.rtcSetGeometryInstancedScenes(geometry, scenes.ctypes.data, len(scenes))
+            unreported += scenes.nbytes  # Embree (4.4) counts its copy of the handles, but not that it is freed
             embree.shared_buffer(geometry, embree.BUFFER_TRANSFORM, embree.FORMAT_FLOAT3X4_COLUMN_MAJOR, self._transform[a:b], 48)
             embree.shared_buffer(geometry, embree.BUFFER_INDEX, embree.FORMAT_UINT, index, 4)
             lib.rtcSetGeometryMask(geometry, mask)
             lib.rtcCommitGeometry(geometry)
             lib.rtcAttachGeometry(scene, geometry)
             lib.rtcReleaseGeometry(geometry)
-        built = device.commit(scene, self, f"build the TLAS over {len(self.ids):,} instances")
+        device.own(scene, self, unreported)
+        built = device.commit(scene, f"build the TLAS over {len(self.ids):,} instances")
         self.handle = np.uint64(scene)
         self.bytes = built + self._transform.nbytes + self._index.nbytes + self._scenes.nbytes
 
