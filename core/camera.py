@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from .sampling import OPTIONS, disk, normalize
-from .scene import F32, Camera
+from .scene import F32, F64, Camera
 
 CAMERA = 32
 _TO_WORLD, _FRAME, _ORTHO, _NEAR, _FAR, _APERTURE, _FOCUS, _BLADES, _ROTATION, _RATIO = 0, 12, 16, 17, 18, 19, 20, 21, 22, 23
@@ -29,6 +29,25 @@ def camera_constants(camera: Camera) -> F32:
     c[_BLADES] = camera.blades if camera.blades >= 3 else 0
     c[_ROTATION], c[_RATIO] = camera.blade_rotation, 1.0 / camera.aperture_ratio
     return c
+
+
+def projection(camera: Camera) -> tuple[F64, F64]:
+    """What a raster needs to see what rays of a pinhole camera meet: (4, 4) float64 world to clip space (OpenGL's), and (4,) float64, the plane that gives a
+    world point's distance along the view, 0 at the camera and 1 at the far end."""
+    axes = camera.to_world[:, :3] / np.linalg.norm(camera.to_world[:, :3], axis=0)
+    view = np.eye(4)
+    view[:3, :3], view[:3, 3] = axes.T, -axes.T @ camera.to_world[:, 3]
+    left, right, bottom, top = camera.frame
+    near, far = max(camera.clip_start, 1e-4 if not camera.orthographic else 0.0), min(camera.clip_end, 1e6)
+    clip = np.zeros((4, 4))
+    clip[0, 0], clip[1, 1] = 2 / (right - left), 2 / (top - bottom)
+    if camera.orthographic:
+        clip[0, 3], clip[1, 3] = -(right + left) / (right - left), -(top + bottom) / (top - bottom)
+        clip[2, 2], clip[2, 3], clip[3, 3] = -2 / (far - near), -(far + near) / (far - near), 1.0
+    else:
+        clip[0, 2], clip[1, 2] = (right + left) / (right - left), (top + bottom) / (top - bottom)
+        clip[2, 2], clip[2, 3], clip[3, 2] = -(far + near) / (far - near), -2 * far * near / (far - near), -1.0
+    return clip @ view, -view[2] / far
 
 
 @njit(**OPTIONS)

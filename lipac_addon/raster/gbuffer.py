@@ -1,0 +1,142 @@
+"""First hits by a raster pass of our own through Blender's `gpu` module: instance, triangle and barycentrics, exact to single precision."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+from mathutils import Matrix
+
+from ...core.camera import projection
+from ...core.culling import keep_frustum
+from ...core.primary import HIT, MeshTable, Primary, pass_camera
+from ...core.scene import F32, I64, RayType, Scene
+
+ROW = 1024  # instances per row of the texture that holds transforms
+_TEXELS = 3  # of an instance: the rows of its transform
+
+_VERTEX = """
+void main()
+{
+  int slot = first + gl_InstanceID;
+  ivec2 at = ivec2(3 * (slot % row), slot / row);
+  vec4 p = vec4(position, 1.0);
+  vec3 world;
+  for (int k = 0; k < 3; k++) {
+    world[k] = dot(texelFetch(transforms, at + ivec2(k, 0), 0), p);
+  }
+  gl_Position = view_projection * vec4(world, 1.0);
+  int corner = gl_VertexID % 3;
+  barycentrics = vec2(corner == 1 ? 1.0 : 0.0, corner == 2 ? 1.0 : 0.0);
+  distance_from_camera = dot(depth_plane, vec4(world, 1.0));
+  ids = vec2(float(slot + 1), float(gl_VertexID / 3));
+}
+"""
+# Distance over the far end, in float: as exact near and far; what a projection puts into the depth buffer is not, far from the camera.
+_FRAGMENT = """
+void main()
+{
+  gl_FragDepth = distance_from_camera;
+  result = vec4(ids, barycentrics);
+}
+"""
+
+
+def _make_shader() -> Any:
+    between = gpu.types.GPUStageInterfaceInfo("lipac_gbuffer")
+    between.smooth("VEC2", "barycentrics")
+    between.smooth("FLOAT", "distance_from_camera")
+    between.flat("VEC2", "ids")
+    info = gpu.types.GPUShaderCreateInfo()
+    info.push_constant("MAT4", "view_projection")
+    info.push_constant("VEC4", "depth_plane")
+    info.push_constant("INT", "first")
+    info.push_constant("INT", "row")
+    info.sampler(0, "FLOAT_2D", "transforms")
+    info.vertex_in(0, "VEC3", "position")
+    info.vertex_out(between)
+    info.fragment_out(0, "VEC4", "result")
+    info.depth_write("ANY")
+    info.vertex_source(_VERTEX)
+    info.fragment_source(_FRAGMENT)
+    return gpu.shader.create_from_info(info)
+
+
+class GBuffer:
+    """A scene on the graphics card, to draw first hits of. Everything that camera rays may see is drawn, whether culled or not.
+
+    Raises what `opengl.require` raises. To be used on the thread that made it.
+    """
+
+    def __init__(self, scene: Scene, progress: Callable[[float, str], None] | None = None) -> None:
+        self.scene = scene
+        self.meshes = MeshTable(scene.meshes)
+        instances = scene.instances
+        exists = (instances.bounds[:, 0] <= instances.bounds[:, 1]).all(axis=1) & np.isfinite(instances.bounds).all(axis=(1, 2))
+        seen = exists & ((instances.flags & (1 << RayType.CAMERA)) != 0) & keep_frustum(scene, 0.05)
+        chosen = np.flatnonzero(seen)
+        self.order: I64 = chosen[np.argsort(instances.mesh[chosen], kind="stable")]
+        self._shader = _make_shader()
+        self._transforms = self._upload()
+        self._batches: list[tuple[Any, int, int]] = []
+        meshes, starts = np.unique(instances.mesh[self.order], return_index=True)
+        ends = np.append(starts[1:], len(self.order))
+        for k, (mesh, a, b) in enumerate(zip(meshes.tolist(), starts.tolist(), ends.tolist(), strict=True)):
+            if progress:
+                progress(k / len(meshes), f"{len(meshes):,} meshes to the graphics card")
+            self.meshes.need(np.array([mesh]))
+            data = self.meshes[mesh]
+            if len(data.triangles):
+                corners = np.ascontiguousarray(data.positions[data.triangles.ravel()])
+                self._batches.append((batch_for_shader(self._shader, "TRIS", {"position": corners}), a, b - a))
+
+    def _upload(self) -> Any:
+        rows = max(-(-len(self.order) // ROW), 1)
+        texels = np.zeros((rows * ROW, _TEXELS, 4), np.float32)
+        texels[: len(self.order)] = self.scene.instances.transform[self.order]
+        data = gpu.types.Buffer("FLOAT", texels.size, texels.ravel())
+        return gpu.types.GPUTexture((_TEXELS * ROW, rows), format="RGBA32F", data=data)
+
+    def draw(self, size: tuple[int, int], index: int = 0, count: int = 1) -> Primary:
+        """Pass `index` of `count` (`core.primary.pass_camera`), of a picture of size (width, height)."""
+        camera = pass_camera(self.scene.camera, self.scene.film, size, index, count)
+        found = self._pixels(camera, size)
+        hits = np.zeros((size[1], size[0]), HIT)
+        slot = found[..., 0].astype(np.int64)
+        lookup = np.append(np.int64(-1), self.order)
+        hits["instance"] = lookup[slot]
+        hits["triangle"] = found[..., 1].astype(np.uint32)
+        hits["b1"], hits["b2"] = found[..., 2], found[..., 3]
+        hits["b1"], hits["b2"] = np.clip(hits["b1"], 0, 1), np.clip(hits["b2"], 0, 1 - np.clip(hits["b1"], 0, 1))
+        return Primary(hits, camera, self.meshes)
+
+    def _pixels(self, camera: Any, size: tuple[int, int]) -> F32:
+        """(H, W, 4) float32, rows bottom up: slot + 1 (0: nothing), triangle, barycentrics."""
+        view_projection, depth_plane = projection(camera)
+        color = gpu.types.GPUTexture(size, format="RGBA32F")
+        depth = gpu.types.GPUTexture(size, format="DEPTH_COMPONENT32F")
+        frame = gpu.types.GPUFrameBuffer(depth_slot=depth, color_slots=[color])
+        with frame.bind():
+            frame.clear(color=(0.0, 0.0, 0.0, 0.0), depth=1.0)
+            gpu.state.depth_test_set("LESS")
+            gpu.state.depth_mask_set(True)
+            gpu.state.blend_set("NONE")
+            gpu.state.face_culling_set("NONE")
+            try:
+                self._shader.bind()
+                self._shader.uniform_float("view_projection", Matrix(view_projection.tolist()))
+                self._shader.uniform_float("depth_plane", depth_plane.tolist())
+                self._shader.uniform_int("row", ROW)
+                self._shader.uniform_sampler("transforms", self._transforms)
+                for batch, first, number in self._batches:
+                    self._shader.uniform_int("first", first)
+                    batch.draw_instanced(self._shader, instance_count=number)
+            finally:
+                gpu.state.depth_test_set("NONE")
+                gpu.state.depth_mask_set(False)
+            data = frame.read_color(0, 0, *size, 4, 0, "FLOAT")
+        data.dimensions = size[0] * size[1] * 4
+        return np.array(data, np.float32).reshape(size[1], size[0], 4)

@@ -1,0 +1,121 @@
+"""EEVEE's passes of the whole scene: light of lamps with shadow maps, base colours, normals, emission, background."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core.errors import InputError
+from ...core.scene import F32
+from ..console import muted
+from ..extract.depsgraph import changed, no_new_images
+
+_PASSES = ("z", "normal", "shadow", "diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color", "emit", "environment")
+_FILE = {
+    "media_type": "MULTI_LAYER_IMAGE",
+    "file_format": "OPEN_EXR_MULTILAYER",
+    "exr_codec": "NONE",
+    "use_exr_interleave": True,
+    "color_depth": "32",
+}
+_EEVEE = {
+    # Only lamps with shadow maps: the sky, probes and what the screen shows give no light to surfaces, the path tracer does that.
+    "indirect_light_intensity": 0.0,
+    "use_raytracing": False,
+    "use_fast_gi": False,
+    "light_threshold": 1e-5,  # 0 loses shadows, the default cuts dim lamps off
+    "use_shadows": True,
+}
+
+
+@dataclass(frozen=True)
+class Passes:
+    """What EEVEE says of a picture, (H, W, 3) float32 each (shadow: (H, W)), linear, rows bottom up, filtered over its samples.
+
+    diffuse, glossy: light of lamps that arrives and is scattered, their colours not applied. shadow: share of the lamps' light that its shadow maps let arrive.
+    """
+
+    diffuse: F32
+    diffuse_color: F32
+    glossy: F32
+    glossy_color: F32
+    emission: F32
+    environment: F32
+    normal: F32
+    shadow: F32
+
+    @property
+    def direct(self) -> F32:
+        """Light of lamps, (H, W, 3)."""
+        return self.diffuse * self.diffuse_color + self.glossy * self.glossy_color
+
+    @property
+    def albedo(self) -> F32:
+        """Base colours, (H, W, 3); 1 where the background is."""
+        total = self.diffuse_color + self.glossy_color
+        return np.minimum(np.where(self.environment.any(axis=2, keepdims=True) & ~total.any(axis=2, keepdims=True), np.float32(1), total), np.float32(1))
+
+
+def render_passes(scene: bpy.types.Scene, samples: int = 8) -> Passes:
+    """Render the current frame of the open file by EEVEE, everything in it, and return its passes; the scene's settings are put back.
+
+    Raises InputError where it cannot be rendered. OpenGL must be there (`opengl.require`).
+    """
+    with tempfile.TemporaryDirectory(prefix="lipac-") as folder, _settings(scene, samples, Path(folder) / "passes.exr"), no_new_images():
+        try:
+            with muted():
+                bpy.ops.render.render(write_still=True, scene=scene.name)
+        except RuntimeError as error:
+            raise InputError(f"eevee cannot render the scene: {str(error).removeprefix('Error:').strip()}") from error
+        return _read(Path(folder) / "passes.exr")
+
+
+@contextmanager
+def _settings(scene: bpy.types.Scene, samples: int, path: Path) -> Iterator[None]:
+    layer = next((v for v in scene.view_layers if v.use), scene.view_layers[0])
+    with ExitStack() as stack:
+        set_ = lambda target, **values: stack.enter_context(changed(target, **_known(target, values)))  # noqa: E731
+        plain = {"use_border": False, "use_sequencer": False, "use_compositing": False, "use_multiview": False, "use_persistent_data": False}
+        set_(scene.render, engine="BLENDER_EEVEE", filepath=str(path), use_file_extension=True, **plain)
+        set_(scene.render.image_settings, **_FILE)
+        set_(scene.eevee, taa_render_samples=samples, **_EEVEE)
+        if scene.world is not None:
+            set_(scene.world, sun_threshold=0.0)
+        for other in scene.view_layers:
+            set_(other, use=other == layer)
+        set_(layer, **{f"use_pass_{name}": True for name in _PASSES})
+        yield
+
+
+def _known(target: Any, values: dict[str, Any]) -> dict[str, Any]:
+    """Those of values that this version of Blender has."""
+    return {name: value for name, value in values.items() if hasattr(target, name)}
+
+
+def _read(path: Path) -> Passes:
+    """Passes of a multilayer EXR as EEVEE wrote it."""
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {name.partition(".")[2]: channel.pixels for part in file.parts for name, channel in part.channels.items()}
+
+    def color(name: str, letters: str = "RGB") -> F32:
+        return np.ascontiguousarray(np.stack([channels[f"{name}.{letter}"] for letter in letters], axis=2)[::-1], np.float32)
+
+    return Passes(
+        diffuse=color("Diffuse Direct"),
+        diffuse_color=color("Diffuse Color"),
+        glossy=color("Glossy Direct"),
+        glossy_color=color("Glossy Color"),
+        emission=color("Emission"),
+        environment=color("Environment"),
+        normal=color("Normal", "XYZ"),
+        shadow=color("Shadow").mean(axis=2),
+    )
