@@ -22,6 +22,7 @@ from .errors import Cancelled
 from .feedback import Feedback, Weights
 from .film import LUMINANCE, Picture
 from .hitboxes import Hitboxes
+from .placing import LARGEST
 from .progress import Progress, silent
 from .regions import Cut, Regions
 from .scene import F32, I64, U8, Scene
