@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 from numba import njit
@@ -26,8 +27,8 @@ HIT = np.dtype([("instance", "i4"), ("triangle", "u4"), ("b1", "f4"), ("b2", "f4
 _CAMERA_MASK = np.uint32(1 << RayType.CAMERA)
 
 
-class MeshTable:
-    """Meshes in the form that kernels read, without a BLAS. table: (M,) of blas.MESH."""
+class MeshTable(Sequence[Mesh]):
+    """Meshes in the form that kernels read, without a BLAS; those that are there need not be read again. table: (M,) of blas.MESH."""
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:
         self._meshes = meshes
@@ -41,8 +42,17 @@ class MeshTable:
                 self._loaded[index] = mesh = loaded(self._meshes[index])
                 self.table[index] = record(mesh)
 
-    def __getitem__(self, index: int) -> Mesh:
-        return self._loaded[index]
+    def __len__(self) -> int:
+        return len(self._meshes)
+
+    @overload
+    def __getitem__(self, index: int) -> Mesh: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Mesh]: ...
+    def __getitem__(self, index: int | slice) -> Mesh | list[Mesh]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        return self._loaded[index] if index in self._loaded else self._meshes[index]
 
 
 @dataclass(frozen=True, eq=False)

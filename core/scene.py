@@ -6,12 +6,16 @@ so a city at 1e6 m keeps its millimetres. Object space is a mesh's own. Colours 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from .primary import Primary
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -287,6 +291,7 @@ class Scene:
     mesh_bounds: (M, 2, 3) float32 object space; low > high marks a mesh without triangles.
     slot_materials: (S,) int32 into materials.
     approximated: one line per thing that the engine renders differently from Blender.
+    first_hits: what camera rays meet, where it is known from elsewhere, by width and height of the picture: paths of such a picture start there.
     """
 
     instances: Instances
@@ -303,6 +308,7 @@ class Scene:
     limits: PathLimits = field(default_factory=PathLimits)
     origin: F64 = field(default_factory=lambda: np.zeros(3))
     approximated: tuple[str, ...] = ()
+    first_hits: Mapping[tuple[int, int], Primary] = field(default_factory=dict)
 
 
 def default_material() -> Records:

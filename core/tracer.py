@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from . import path_kernel as kernel
 from .blas import BlasCache
 from .camera import camera_constants
+from .change import Change
 from .feedback import Feedback
 from .film import Picture, filter_offsets
 from .hitboxes import ALL_CROSSINGS, Hitboxes
@@ -22,7 +23,6 @@ from .lamps import FAR
 from .lights import Lights, emissive_instances
 from .memory import address
 from .path_log import PathLog
-from .primary import Primary
 from .progress import Progress, silent
 from .scene import F32, Instances, Scene, Shader
 from .shading import SceneTable
@@ -65,6 +65,17 @@ def prepare(scene: Scene, blas: BlasCache) -> Prepared:
     return Prepared(scene, blas, SceneTable(scene), Lights(scene), camera_constants(scene.camera), filter_offsets(scene.film))
 
 
+def advanced(prepared: Prepared, scene: Scene, change: Change) -> Prepared:
+    """`prepare` for the next frame of a scene: lights are made anew only where one of them may be another, from the meshes that are the same."""
+    lights = prepared.lights
+    changed = {*change.deformed.tolist(), *change.replaced.tolist()}.intersection(lights.meshes)
+    emits = change.moved is not None and bool((scene.materials["emission"] > 0).any())
+    if change.shading or change.previous is not None or changed or emits:
+        lights = Lights(scene, None, {m: mesh for m, mesh in lights.meshes.items() if m not in changed})
+    pixel_filter = prepared.pixel_filter if scene.film == prepared.scene.film else filter_offsets(scene.film)
+    return Prepared(scene, prepared.blas, SceneTable(scene), lights, camera_constants(scene.camera), pixel_filter)
+
+
 def has_transparent_shadows(scene: Scene) -> bool:
     """Whether some material lets shadow rays through."""
     m = scene.materials
@@ -87,7 +98,6 @@ def trace(
     strategy: int = kernel.BOTH,
     log: PathLog | None = None,
     only: NDArray[np.uint8] | None = None,
-    primary: Primary | None = None,
     boxes: Hitboxes | None = None,
 ) -> Picture:
     """Trace samples paths per pixel through the instances in tlas.
@@ -97,8 +107,8 @@ def trace(
     one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled between tiles; where it
     says True the picture is returned as far as it is. strategy: path_kernel.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
     log: gets the luminance of each path, and, where feedback is given, what the path met. only: (H, W, samples) uint8, trace those paths that are not 0.
-    primary: paths start at these hits, of a picture of `size`, instead of with camera rays; the picture then has parts. boxes: of what is culled,
-    to tell for the parts which light of lamps that may block.
+    Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of what is culled, to tell for the parts
+    which light of lamps that may block.
     """
     scene = prepared.scene
     width, height = size or (scene.film.width, scene.film.height)
@@ -113,7 +123,7 @@ def trace(
         addresses[kernel.A_LOG] = address(log.records) if feedback is not None else 0
     if only is not None:
         addresses[kernel.A_ONLY] = address(only)
-    parts = None
+    parts, primary = None, scene.first_hits.get((width, height))
     if primary is not None:
         parts, camera = np.zeros((height, width, kernel.PARTS), np.float32), primary.constants
         addresses[kernel.A_PARTS], addresses[kernel.A_CAMERA] = address(parts), address(camera)
