@@ -7,7 +7,7 @@ sees exists only inside a render. So a render is started with an engine of our o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, ClassVar, TypeVar
 
 import bpy
@@ -25,12 +25,14 @@ class ExtractEngine(bpy.types.RenderEngine):
     bl_idname = ENGINE
     bl_label = "LiPaC extraction"
     bl_use_eevee_viewport = False
-    callback: ClassVar[Callable[[Any], None] | None] = None
+    callback: ClassVar[Callable[[Any, bool], None] | None] = None
+    lipac_went_before = False
 
     def render(self, depsgraph: Any) -> None:
-        """Called by Blender, on the thread that started the render when in background."""
+        """Called by Blender, on the thread that started the render when in background. An engine that Blender keeps has kept its graph."""
+        goes_on, self.lipac_went_before = self.lipac_went_before, True
         if ExtractEngine.callback is not None:
-            ExtractEngine.callback(depsgraph)
+            ExtractEngine.callback(depsgraph, goes_on)
 
 
 @contextmanager
@@ -85,38 +87,81 @@ def _some_camera(scene: Any) -> Iterator[None]:
         bpy.data.cameras.remove(data)
 
 
+class RenderGraph:
+    """The dependency graph of final renders of a scene, kept from frame to frame, so that Blender evaluates only what changes.
+
+    While it is held the scene's render engine and some of its render settings are ours; `release` puts them back, and Blender frees the graph. A render of
+    another engine makes Blender free the graph, too: the next frame then gets a new one. No other render can be started inside a callback.
+    """
+
+    def __init__(self, scene: Any, view_layer: str | None = None) -> None:
+        """scene: bpy.types.Scene. view_layer: name, None takes the first one that is used for rendering."""
+        self.scene = scene
+        self.layer = view_layer or next((v.name for v in scene.view_layers if v.use), scene.view_layers[0].name)
+        self._held: ExitStack | None = None
+
+    def evaluate(self, callback: Callable[[Any, bool], T], keep: bool = True) -> T:
+        """Calls `callback(depsgraph, goes_on)` with the graph at the scene's current frame, and returns what it returns.
+
+        goes_on: it is the graph of the last call, so `depsgraph.updates` lists all that changed. keep: hold the graph for the next call.
+        Evaluated data may change or die when this returns, so the callback must copy what it needs.
+        Raises whatever the callback raises, and InputError when the scene cannot be rendered.
+        """
+        if self._held is None:
+            self._hold(keep)
+        try:
+            return self._render(callback)
+        finally:
+            if not keep:
+                self.release()
+
+    def release(self) -> None:
+        """Put the scene's settings back, and let Blender free the graph."""
+        if self._held is not None:
+            held, self._held = self._held, None
+            held.close()
+
+    def _hold(self, keep: bool) -> None:
+        render = self.scene.render
+        with ExitStack() as stack:
+            stack.enter_context(_registered())
+            stack.enter_context(no_new_images())
+            ours = {"use_persistent_data": keep, "use_compositing": False, "use_sequencer": False, "use_multiview": False}
+            stack.enter_context(changed(render, engine=ENGINE, **ours))
+            self._held = stack.pop_all()
+
+    def _render(self, callback: Callable[[Any, bool], T]) -> T:
+        results: list[T] = []
+        errors: list[BaseException] = []
+
+        def call(depsgraph: Any, goes_on: bool) -> None:
+            try:
+                results.append(callback(depsgraph, goes_on))
+            except BaseException as error:  # Blender would print it and go on; it is raised again below
+                errors.append(error)
+
+        with _some_camera(self.scene):
+            ExtractEngine.callback = call
+            try:
+                bpy.ops.render.render(layer=self.layer, scene=self.scene.name)
+            except RuntimeError as error:
+                if not errors:
+                    raise InputError(f"the scene {self.scene.name!r} cannot be rendered: {str(error).strip()}") from error
+            finally:
+                ExtractEngine.callback = None
+        if errors:
+            raise errors[0]
+        if not results:
+            raise InputError(f"the scene {self.scene.name!r} was not rendered: view layer {self.layer!r} is disabled or the render was cancelled")
+        return results[0]
+
+
 def with_render_depsgraph(scene: Any, frame: int | None, callback: Callable[[Any], T], view_layer: str | None = None) -> T:
     """Calls `callback(depsgraph)` with the graph that a final render of `scene` at `frame` would get, and returns what it returns.
 
-    scene: bpy.types.Scene. frame: None keeps the current frame. view_layer: name, None takes the first one that is used for rendering.
-    The graph and all evaluated data die when this returns, so the callback must copy what it needs (`extract` does: its result lives on by itself).
-    No other render can be started inside the callback. Engine, compositing and sequencer settings are put back afterwards; the frame stays.
-    Raises whatever the callback raises, and InputError when the scene cannot be rendered.
+    frame: None keeps the current frame, which stays afterwards. The graph and all evaluated data die when this returns, so the callback must copy what it needs
+    (`extract` does: its result lives on by itself). Raises as `RenderGraph.evaluate`.
     """
     if frame is not None and frame != scene.frame_current:
         scene.frame_set(frame)
-    layer = view_layer or next((v.name for v in scene.view_layers if v.use), scene.view_layers[0].name)
-    results: list[T] = []
-    errors: list[BaseException] = []
-
-    def call(depsgraph: Any) -> None:
-        try:
-            results.append(callback(depsgraph))
-        except BaseException as error:  # Blender would print it and go on; it is raised again below
-            errors.append(error)
-
-    render = scene.render
-    with _registered(), no_new_images(), _some_camera(scene), changed(render, engine=ENGINE, use_compositing=False, use_sequencer=False, use_multiview=False):
-        ExtractEngine.callback = call
-        try:
-            bpy.ops.render.render(layer=layer, scene=scene.name)
-        except RuntimeError as error:
-            if not errors:
-                raise InputError(f"the scene {scene.name!r} cannot be rendered: {str(error).strip()}") from error
-        finally:
-            ExtractEngine.callback = None
-    if errors:
-        raise errors[0]
-    if not results:
-        raise InputError(f"the scene {scene.name!r} was not rendered: view layer {layer!r} is disabled or the render was cancelled")
-    return results[0]
+    return RenderGraph(scene, view_layer).evaluate(lambda depsgraph, _: callback(depsgraph), keep=False)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..keys import Kind
 from .lights import LampData, read_lamp
 from .mesh_table import MeshTable
 from .meshes import read
-from .slots import SlotTable, Slots, material_slots
+from .slots import Slots, SlotTable, material_slots
 
 GEOMETRY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL"}
 
@@ -36,7 +37,8 @@ def matrix(value: Any) -> F64:
 class Geometry:
     """A GeometrySet: its mesh (-1: none) with the materials of its slots, and its instances grouped by what they refer to.
 
-    offset: of the materials in `Scene.slot_materials`, in this frame. data: address of the data-block, where several objects may share it.
+    offset: of the materials in `Scene.slot_materials`, in this frame. data: address of the data-block, where several objects may share it. ids: whether its
+    instances have ids.
     """
 
     mesh: int = -1
@@ -45,6 +47,7 @@ class Geometry:
     materials: Slots = ()
     offset: int = 0
     data: int = 0
+    ids: bool = False
     columns: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4, 4), np.float32))  # (n, 4, 4), column-major
     groups: list[tuple[NDArray[np.int64] | None, Any]] = field(default_factory=list)  # rows (None: all), Node | Members | Geometry | None
 
@@ -293,7 +296,7 @@ class GraphReader:
         if node.geometry.groups:
             # Instances of geometry nodes come before the older ones, which are of objects and always have an id
             objects = all(isinstance(target, Node) for _, target in node.geometry.groups)
-            older = legacy is not None and objects and "id" in item.evaluated_geometry().instances_pointcloud().attributes
+            older = legacy is not None and objects and node.geometry.ids
             node.kind = legacy if older and legacy is not None else Kind.GEOMETRY_NODES
             node.recursive = node.kind != Kind.PARTICLE
 
@@ -312,7 +315,7 @@ class GraphReader:
         cloud = geometry.instances_pointcloud()
         if cloud is None:
             return out
-        count = len(cloud.points)
+        count, out.ids = len(cloud.points), "id" in cloud.attributes
         out.columns = read(cloud.attributes["instance_transform"].data, "value", count, 16).reshape(count, 4, 4)
         reference = read(cloud.attributes[".reference_index"].data, "value", count, dtype=np.int32)
         targets = list(zip(geometry.instance_references(), kept.instance_references(), strict=True))
@@ -321,7 +324,7 @@ class GraphReader:
         elif targets:
             order = np.argsort(reference, kind="stable")
             ends = np.searchsorted(reference[order], np.arange(len(targets) + 1))
-            for k, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+            for k, (a, b) in enumerate(pairwise(ends)):
                 if b > a:
                     out.groups.append((order[a:b], self._reference(*targets[k], item, f"{key}/{k}", lines)))
         return out

@@ -1,20 +1,20 @@
 """What a graph's objects place -> arrays of instances, without a Python step per instance.
 
-NumPy composes the transforms of everything that objects, collections and instance references place: the instances of geometry nodes come as arrays, the contents
-of a collection are composed with all objects that instance it at once. What was placed from the same things in the frame before is taken over as it is.
+NumPy composes the transforms of everything that objects, collections and instance references place: the instances of geometry nodes come as arrays, the
+contents of a collection are composed with all objects that instance it at once. What was placed from the same things in the frame before is taken over.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.placing import compose_rows, finish, local_origin, local_reach, shifted
-from ...core.scene import F32, F64, I32, U8, Camera, InstanceFlag, Instances, Records, RayType
+from ...core.scene import F32, F64, I32, U8, Camera, InstanceFlag, Instances, RayType, Records
 from ..keys import KEY, MAX_DEPTH, Kind
 from .graph import Geometry, GraphReader, Members, Node
 from .lights import Lamp
@@ -128,10 +128,11 @@ class Rows:
 class Block:
     """What one top-level instancer placed, or all objects that are not instanced: rows [first, first + count) of a frame.
 
-    of: what it was placed from, by name; pairs: meshes with their offsets into the slot table; lamps; dropped: unusable placements by mesh name.
-    reach: metres that its meshes reach from their own origins, at most.
+    key: what makes it the same block in another frame; of: names of the objects that it was placed from. pairs: meshes with their offsets into the slot table.
+    dropped: unusable placements by mesh name. reach: metres that its meshes reach from their own origins, at most.
     """
 
+    key: tuple[str, str]
     of: tuple[str, ...]
     first: int = 0
     count: int = 0
@@ -145,7 +146,7 @@ class Block:
 class Placed:
     """A frame: rows, the blocks that they consist of, in order, and where its coordinates begin.
 
-    before: for each block, the block of the frame before that it is placed from the same things as, and whether its rows were taken over.
+    before: for each block, the block of the same key in the frame before, and whether its rows were taken over.
     """
 
     origin: F64
@@ -175,8 +176,8 @@ class _Output:
 class Placer:
     """Places what a reader found in a frame.
 
-    origin: (3,) float64, subtracted from all positions before they become float32. camera: what looks at the scene, in world space; where it is None, all meshes
-    keep their own origins. before: the frame before, of the same reader.
+    origin: (3,) float64, subtracted from all positions before they become float32. camera: what looks at the scene, in world space; where it is None, all
+    meshes keep their own origins. before: the frame before, of the same reader.
     """
 
     def __init__(self, reader: GraphReader, origin: F64, camera: Camera | None = None, before: Placed | None = None) -> None:
@@ -184,7 +185,7 @@ class Placer:
         self.origin, self.camera = origin, camera
         self.limit = np.inf if camera is None else local_reach(camera)
         self._before = before if before is not None and np.array_equal(before.origin, origin) else None
-        self._known = {block.of: block for block in before.blocks} if before is not None else {}
+        self._known = {block.key: block for block in before.blocks} if before is not None else {}
         self._latest: dict[int, int] = {}
         self._output = _Output()
         self._blocks: list[tuple[Block, Block | None, bool]] = []
@@ -193,18 +194,18 @@ class Placer:
         """All instances of the objects at the top, in a stable order."""
         self.meshes.place_anew()
         self._plain([node for node in nodes if node.shown and not node.replaced])
-        together: dict[str, list[Node]] = {}
+        together: dict[tuple[str, str], list[Node]] = {}
         for node in nodes:
             if node.kind == Kind.OBJECT:
                 continue
             if node.kind != Kind.COLLECTION and node.geometry is not None:
-                self._instancer((node.full_name,), [node])
+                self._instancer(("object", node.full_name), [node])
             else:
                 members = self.reader.members(node.collection)
                 inside = any(child is node for _, child in members.objects)
-                together.setdefault(node.full_name if inside else members.full_name, []).append(node)
-        for hosts in together.values():
-            self._instancer(tuple(node.full_name for node in hosts), hosts)
+                together.setdefault(("object", node.full_name) if inside else ("collection", members.full_name), []).append(node)
+        for key, hosts in together.items():
+            self._instancer(key, hosts)
         return self._placed()
 
     def _placed(self) -> Placed:
@@ -229,25 +230,26 @@ class Placer:
 
     # Blocks
 
-    def _begin(self, of: tuple[str, ...], sources: Iterable[Any]) -> bool:
+    def _begin(self, key: tuple[str, str], nodes: Sequence[Node]) -> bool:
         """Begin a block; False where all that it is placed from is as it was in the frame before, whose rows are then taken over."""
-        known = self._known.get(of)
-        if known is not None and self._before is not None and known.reach <= self.limit:
-            changed = max((self.reader.latest(source, self._latest) for source in sources), default=0)
-            if changed < self.reader.frame:
-                for mesh, _ in known.pairs:
-                    source = self.meshes.source(mesh)
-                    source.origin = np.zeros(3) if source.origin is None else source.origin
-                block = Block(of, 0, known.count, known.pairs, known.lamps, known.dropped, known.reach)
-                self._blocks.append((block, known, True))
-                return False
-        self.block = Block(of, self._output.count)
+        of, known = tuple(node.full_name for node in nodes), self._known.get(key)
+        if known is not None and self._is_still(known, of, nodes):
+            for mesh, _ in known.pairs:
+                self.meshes.source(mesh).origin = np.zeros(3)
+            self._blocks.append((replace(known), known, True))
+            return False
+        self.block = Block(key, of, self._output.count)
         self._blocks.append((self.block, known, False))
         return True
 
+    def _is_still(self, known: Block, of: tuple[str, ...], nodes: Sequence[Node]) -> bool:
+        if self._before is None or known.of != of or known.reach > self.limit or not all(self.meshes.keeps_origin(mesh) for mesh, _ in known.pairs):
+            return False
+        return all(self.reader.latest(node, self._latest) < self.reader.frame for node in nodes)
+
     def _plain(self, nodes: list[Node]) -> None:
         """Objects themselves."""
-        if not self._begin(("",), nodes):
+        if not self._begin(("", ""), nodes):
             return
         groups: dict[int, list[int]] = {}
         shown: list[Node] = []
@@ -267,9 +269,9 @@ class Placer:
             self._emit(mesh, slots[members], names[members], VISIBLE, 0, at)
         self.block.count = self._output.count - self.block.first
 
-    def _instancer(self, of: tuple[str, ...], hosts: list[Node]) -> None:
+    def _instancer(self, key: tuple[str, str], hosts: list[Node]) -> None:
         """What objects instance: one that does by nodes, or several that instance the same collection."""
-        if self._begin(of, hosts):
+        if self._begin(key, hosts):
             self._instances_of([(n, Placements(n.world[None], int(n.kind), n.name, n.visible, n.marks)) for n in hosts], (), 0)
             self.block.count = self._output.count - self.block.first
 

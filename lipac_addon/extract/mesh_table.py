@@ -67,7 +67,7 @@ class MeshTable:
                 self._drop(index)
             self._index[key] = -1
             return -1
-        source.geometry = kept
+        source.geometry, _ = kept, kept.mesh  # asked for its mesh it makes one of its own, which outlives the graph and shares its arrays
         if index < 0:
             if self._free:
                 index = self._free.pop(0)
@@ -84,6 +84,10 @@ class MeshTable:
         source = self.sources[index]
         assert source is not None
         return source
+
+    def keeps_origin(self, index: int) -> bool:
+        """Whether the coordinates of a mesh began at its own origin in the frame before, and nothing says otherwise in this one."""
+        return not _differ(self._origins.get(index), None) and not _differ(self.source(index).origin, None)
 
     def bounds(self) -> F32:
         """(M, 2, 3) float32, as `core.scene.Scene.mesh_bounds`."""

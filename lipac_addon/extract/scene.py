@@ -1,27 +1,26 @@
-"""Dependency graph -> core scene: the one entry to this package."""
+"""Dependency graph -> core scene, frame by frame."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
+from ...core.change import Change
 from ...core.errors import InputError
 from ...core.placing import scene_origin
-from ...core.scene import F64, Camera, Scene
+from ...core.scene import I32, Camera, Records, Scene
 from ..keys import Keys
 from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera
-from .depsgraph import STAND_IN, with_render_depsgraph
-from .instances import Collector
-from .lights import extract_lights
-from .materials import MaterialTable
+from .depsgraph import STAND_IN
+from .differences import compare
+from .graph import GraphReader
+from .instances import Placed, Placer
+from .lights import place_lamps
 from .meshes import LazyMeshes
-from .textures import TextureTable
+from .shading import Shading, ShadingReader
 from .world import ExtractedWorld, extract_world
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -29,42 +28,141 @@ class Extraction:
     """A frame of a Blender scene. It depends on Blender only through `scene.meshes`, which reads meshes on demand and stays valid after the graph is gone.
 
     scene: what the engine renders. keys: one per instance, finds it again in Blender. warnings: one line each: what is wrong with the input.
+    change: what differs from the frame that was extracted before; None for the first one.
     """
 
     scene: Scene
     keys: Keys
     warnings: tuple[str, ...]
+    change: Change | None = None
 
 
-class _Slots:
-    """Lists of materials by slot, each stored once."""
+@dataclass(frozen=True)
+class Frame:
+    """What was read of a graph, still without a world."""
 
-    def __init__(self, materials: MaterialTable, override: Any) -> None:
-        self.materials = materials
-        self.override = override
-        self.table: list[int] = []
-        self._known: dict[tuple[int, ...], int] = {}
+    scene: Scene
+    placed: Placed
+    shading: Shading
+    deformed: I32
+    replaced: I32
+    keys: Keys
+    warnings: tuple[str, ...]
 
-    def __call__(self, item: Any, mesh: Any, count: int) -> int:
-        """Offset of the materials of an object's mesh: a slot linked to the object comes before the mesh's own; past the last slot the last one counts."""
-        own = item.material_slots
-        data = mesh.materials
-        size = max(len(own), len(data))
-        if self.override is not None or size == 0:
-            indices = [self.materials.index(self.override)] * count
-        else:
-            linked = {i: s.material for i, s in enumerate(own) if s.link == "OBJECT" and s.material is not None}
-            indices = [self.materials.index(linked.get(i, data[i] if i < len(data) else None)) for i in range(min(size, count))]
-            indices += indices[-1:] * (count - len(indices))
-        key = tuple(indices)
-        if key not in self._known:
-            self._known[key] = len(self.table)
-            self.table += indices
-        return self._known[key]
+
+class SceneReader:
+    """Reads the dependency graphs of the frames of a scene, and tells what changed from each to the next."""
+
+    def __init__(self, allow_no_camera: bool = False) -> None:
+        """allow_no_camera: a scene without a camera is framed as a whole."""
+        self.allow_no_camera = allow_no_camera
+        self.graph = GraphReader()
+        self._shading = ShadingReader()
+        self._placed: Placed | None = None
+        self._last: tuple[Scene, Shading] | None = None
+
+    def read(self, depsgraph: Any, goes_on: bool) -> Frame:
+        """A frame, from its graph. goes_on: it is the graph of the last call, evaluated anew.
+
+        Raises InputError: no camera, an unsupported camera, nothing to render.
+        """
+        scene, graph = depsgraph.scene_eval, self.graph
+        film = extract_film(scene)
+        if _stand_in(scene) and not self.allow_no_camera:
+            raise InputError(NO_CAMERA)
+        camera = None if _stand_in(scene) else extract_camera(scene.camera, scene, film)
+        nodes = graph.read(depsgraph, goes_on)
+        placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(nodes)
+        if not len(placed.rows):
+            raise InputError("nothing to render: no visible object of the scene has faces")
+        if camera is None:
+            bounds = np.stack((placed.rows.bounds[:, 0].min(axis=0), placed.rows.bounds[:, 1].max(axis=0))).astype(np.float64)
+            camera = frame_camera(bounds, film)
+            placed = Placer(graph, scene_origin(camera), camera, self._placed).place(nodes)  # once more, with all digits where it is looked at
+        shading = self._shading.read(graph)
+        pairs = {pair for block in placed.blocks for pair in block.pairs}
+        deformed, replaced = graph.meshes.finish(self._textured(pairs, shading), shading.uv_maps)
+        approximated, warnings = dict.fromkeys(graph.unsupported), dict.fromkeys(graph.warnings)
+        lights = self._lights(placed, approximated, warnings)
+        dropped: dict[str, int] = {}
+        for block in placed.blocks:
+            for name, count in block.dropped.items():
+                dropped[name] = dropped.get(name, 0) + count
+        for name, count in dropped.items():
+            warnings.setdefault(f"{count} instance{'s' if count > 1 else ''} of {name!r} left out: the transform is singular or not finite")
+        approximated |= dict.fromkeys(shading.approximated)
+        to_world = camera.to_world.copy()
+        to_world[:, 3] -= placed.origin
+        result = Scene(
+            instances=placed.rows.instances(),
+            meshes=LazyMeshes(graph.meshes.sources, shading.uv_maps),
+            mesh_bounds=graph.meshes.bounds(),
+            slot_materials=shading.slot_materials,
+            materials=shading.materials,
+            lights=lights,
+            world=ExtractedWorld.black().world,
+            camera=replace(camera, to_world=to_world),
+            film=film,
+            textures=shading.textures,
+            uv_maps=shading.uv_maps,
+            limits=extract_limits(scene),
+            origin=placed.origin,
+            approximated=tuple(approximated),
+        )
+        return Frame(result, placed, shading, deformed, replaced, Keys(placed.rows.records, tuple(graph.names)), tuple(warnings))
+
+    def finish(self, frame: Frame, world: ExtractedWorld) -> Extraction:
+        """A frame with its world, and what changed since the last one."""
+        scene, warnings = frame.scene, frame.warnings
+        lit = len(scene.lights) or world.world.image is not None or world.world.color.any() or scene.materials["emission"].any()
+        if not lit:
+            warnings = (*warnings, "the scene has no light: no lamp, no emitting material, a black world; it renders black")
+        approximated = dict.fromkeys((*scene.approximated, *world.approximated))
+        scene = replace(scene, world=world.world, approximated=tuple(approximated))
+        change = None
+        if self._placed is not None and self._last is not None:
+            last, shading = self._last
+            previous, moved = compare(self._placed, frame.placed)
+            if previous is None and moved is None:
+                frame = replace(frame, placed=replace(frame.placed, rows=self._placed.rows))
+                scene = replace(scene, instances=last.instances)
+            shades = frame.shading is not shading or not _same_light(scene, last)
+            change = Change(previous, moved, frame.deformed, frame.replaced, shades, not _same_view(scene, last))
+        self._placed, self._last = frame.placed, (scene, frame.shading)
+        return Extraction(scene, frame.keys, warnings, change)
+
+    @staticmethod
+    def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, None]) -> Records:
+        lamps = [lamp for block in placed.blocks for lamp in block.lamps]
+        return place_lamps(lamps, approximated.setdefault, warnings.setdefault)
+
+    def _textured(self, pairs: set[tuple[int, int]], shading: Shading) -> set[int]:
+        """Meshes with a material that needs UVs."""
+        if not shading.textured.any():
+            return set()
+        table = shading.textured[shading.slot_materials]
+        return {mesh for mesh, offset in pairs if table[offset : offset + self.graph.meshes.source(mesh).slot_count].any()}
 
 
 def _stand_in(scene: Any) -> bool:
     return scene.camera is None or scene.camera.name.startswith(STAND_IN)
+
+
+def _same_light(a: Scene, b: Scene) -> bool:
+    """Whether lamps, world and path limits are the same."""
+    lights = a.lights.shape == b.lights.shape and a.lights.tobytes() == b.lights.tobytes()
+    same_image = a.world.image is b.world.image
+    return bool(lights and same_image and np.array_equal(a.world.color, b.world.color) and a.world.visibility == b.world.visibility and a.limits == b.limits)
+
+
+def _same_view(a: Scene, b: Scene) -> bool:
+    """Whether camera and film are the same."""
+    x, y = a.camera, b.camera
+    return bool(a.film == b.film and np.array_equal(a.origin, b.origin) and _same_camera(x, y))
+
+
+def _same_camera(a: Camera, b: Camera) -> bool:
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in Camera.__dataclass_fields__)
 
 
 def extract(depsgraph: Any, world: ExtractedWorld | None = None, allow_no_camera: bool = False) -> Extraction:
@@ -73,82 +171,8 @@ def extract(depsgraph: Any, world: ExtractedWorld | None = None, allow_no_camera
     world: from `extract_world`, called before the render; None takes the world of the graph, which must then be constant.
     allow_no_camera: a scene without a camera is framed as a whole. Raises InputError: no camera, an unsupported camera, nothing to render.
     """
-    scene = depsgraph.scene_eval
-    film = extract_film(scene)
-    if _stand_in(scene) and not allow_no_camera:
-        raise InputError(NO_CAMERA)
-    camera = None if _stand_in(scene) else extract_camera(scene.camera, scene, film)
-    origin = np.zeros(3) if camera is None else scene_origin(camera)
-    textures = TextureTable(print)
-    materials = MaterialTable(textures)
-    slots = _Slots(materials, getattr(depsgraph.view_layer_eval, "material_override", None))
-
-    def collect(origin: F64) -> Collector:
-        collector = Collector(depsgraph, origin, slots, camera)
-        collector.run()
-        return collector
-
-    collector = collect(origin)
-    instances, keys = collector.result()
-    if not len(instances):
-        raise InputError("nothing to render: no visible object of the scene has faces")
-    if camera is None:
-        bounds = np.stack((instances.bounds[:, 0].min(axis=0), instances.bounds[:, 1].max(axis=0))).astype(np.float64)
-        camera = frame_camera(bounds, film)
-        if np.abs(camera.to_world[:, 3]).max() > 1e3:  # far from the world's origin: once more, with all digits
-            origin = np.round(camera.to_world[:, 3])
-            collector = collect(origin)
-            instances, keys = collector.result()
-    sources = collector.meshes
-    table = np.array(slots.table, np.int32)
-    textured = np.array([materials.textured(k) for k in range(len(materials.records))], bool)
-    for mesh, offset in np.unique(np.stack((instances.mesh, instances.slots), axis=1), axis=0) if textured.any() else ():
-        sources[mesh].needs_uv |= bool(textured[table[offset : offset + sources[mesh].slot_count]].any())
-    approximated = dict.fromkeys(collector.unsupported)
-    report = approximated.setdefault
-    lights = extract_lights(collector.lamps, report, collector.warnings.append)
+    reader = SceneReader(allow_no_camera)
+    frame = reader.read(depsgraph, False)
     if world is None:
-        world = extract_world(scene, depsgraph.view_layer_eval)
-    if not len(lights) and world.world.image is None and not world.world.color.any() and not any(r["emission"].any() for r in materials.records):
-        collector.warnings.append("the scene has no light: no lamp, no emitting material, a black world; it renders black")
-    approximated |= materials.approximated | dict.fromkeys(world.approximated)
-    result = Scene(
-        instances=instances,
-        meshes=LazyMeshes(sources, textures.uv_maps),
-        mesh_bounds=collector.mesh_bounds(),
-        slot_materials=table,
-        materials=materials.build(),
-        lights=lights,
-        world=world.world,
-        camera=_moved(camera, origin),
-        film=film,
-        textures=textures.build(),
-        uv_maps=tuple(textures.uv_maps),
-        limits=extract_limits(scene),
-        origin=origin,
-        approximated=tuple(approximated),
-    )
-    return Extraction(result, keys, tuple(dict.fromkeys(collector.warnings)))
-
-
-def _moved(camera: Camera, origin: F64) -> Camera:
-    to_world = camera.to_world.copy()
-    to_world[:, 3] -= origin
-    return replace(camera, to_world=to_world)
-
-
-def extract_frame(
-    scene: Any, frame: int | None = None, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None
-) -> Extraction:
-    """A frame of a Blender scene as a final render would see it. Raises InputError as `extract` and `with_render_depsgraph` do.
-
-    world: from `extract_world`, to bake an unchanging world once for many frames; None bakes it here.
-    """
-    if frame is not None and frame != scene.frame_current:
-        scene.frame_set(frame)
-    if scene.camera is None and not allow_no_camera:
-        raise InputError(NO_CAMERA)
-    if world is None:
-        world = extract_world(scene, scene.view_layers[view_layer] if view_layer else scene.view_layers[0])
-    callback: Callable[[Any], Extraction] = lambda depsgraph: extract(depsgraph, world, allow_no_camera)  # noqa: E731
-    return with_render_depsgraph(scene, None, callback, view_layer)
+        world = extract_world(depsgraph.scene_eval, depsgraph.view_layer_eval)
+    return reader.finish(frame, world)

@@ -29,10 +29,15 @@ class ImageUse:
 
 @dataclass
 class Pixels:
-    """(H, W, 4) uint8 or float32, rows bottom up; srgb: encoded."""
+    """(H, W, 4) uint8 or float32, rows bottom up; srgb: encoded; lines: what Blender shows differently."""
 
     data: U8 | F32
     srgb: bool
+    lines: tuple[str, ...] = ()
+
+
+def _magenta(line: str) -> Pixels:
+    return Pixels(np.full((1, 1, 4), MAGENTA, np.float32), False, (line,))
 
 
 def srgb_to_linear(value: NDArray[Any]) -> F32:
@@ -44,8 +49,10 @@ def srgb_to_linear(value: NDArray[Any]) -> F32:
 class TextureTable:
     """Collects the images that materials use; each is read once."""
 
-    def __init__(self, report: Any) -> None:
+    def __init__(self, report: Any, known: dict[tuple[str, bool], Pixels] | None = None) -> None:
+        """known: pixels by name of the image and whether colour is multiplied by alpha; what is read is added."""
         self.report = report  # callback(line): something that Blender shows differently
+        self._pixels = {} if known is None else known
         self.uv_maps = [""]
         self.sources: list[Pixels] = []
         self._known: dict[tuple[str, bool], int] = {}
@@ -62,19 +69,25 @@ class TextureTable:
         key = ("", False) if image is None else (image.original.name_full, associate)
         if key not in self._known:
             self._known[key] = len(self.sources)
-            self.sources.append(self._read(None if image is None else image.original, associate))
+            pixels = self._pixels.get(key)
+            if pixels is None:
+                pixels = self._read(None if image is None else image.original, associate)
+                self._pixels[key] = pixels
+            for line in pixels.lines:
+                self.report(line)
+            self.sources.append(pixels)
         return self._known[key]
 
-    def _read(self, image: Any, associate: bool) -> Pixels:
+    @staticmethod
+    def _read(image: Any, associate: bool) -> Pixels:
         if image is None:
-            self.report("an image texture node has no image: magenta, as in Cycles")
-            return Pixels(np.full((1, 1, 4), MAGENTA, np.float32), False)
+            return _magenta("an image texture node has no image: magenta, as in Cycles")
         width, height = image.size  # loads the file
         if width == 0 or height == 0 or len(image.pixels) < width * height * image.channels:
-            self.report(f"image {image.name!r} is missing ({image.filepath or 'no file'}): magenta, as in Cycles")
-            return Pixels(np.full((1, 1, 4), MAGENTA, np.float32), False)
+            return _magenta(f"image {image.name!r} is missing ({image.filepath or 'no file'}): magenta, as in Cycles")
+        lines = []
         if image.source in {"TILED", "SEQUENCE", "MOVIE"}:
-            self.report(f"image {image.name!r}: of {image.source.lower()} images only the first picture is used")
+            lines.append(f"image {image.name!r}: of {image.source.lower()} images only the first picture is used")
         data = np.empty(width * height * image.channels, np.float32)
         image.pixels.foreach_get(data)
         data = data.reshape(height, width, image.channels)
@@ -86,14 +99,14 @@ class TextureTable:
             data = wide
         space = image.colorspace_settings.name
         if space not in LINEAR and space not in ENCODED:
-            self.report(f"image {image.name!r}: color space {space!r} is read as {'linear' if image.is_float else 'sRGB'}")
+            lines.append(f"image {image.name!r}: color space {space!r} is read as {'linear' if image.is_float else 'sRGB'}")
         if image.alpha_mode == "NONE":
             data[:, :, 3] = 1.0
         elif associate and image.alpha_mode == "STRAIGHT" and not image.colorspace_settings.is_data:
             data[:, :, :3] *= data[:, :, 3:]
         if image.is_float:
-            return Pixels(data, False)
-        return Pixels((data * 255.0 + 0.5).astype(np.uint8), space not in LINEAR)
+            return Pixels(data, False, tuple(lines))
+        return Pixels((data * 255.0 + 0.5).astype(np.uint8), space not in LINEAR, tuple(lines))
 
     def add(self, data: F32) -> int:
         """Index of pixels made here: (H, W, 4) float32, linear."""

@@ -22,6 +22,9 @@ from .depsgraph import changed, no_new_images
 
 BAKE_HEIGHT = 512  # of worlds without an image
 MAX_HEIGHT = 2048
+_FILMS = {"SEQUENCE", "MOVIE"}
+_NO_LOOKS = {"rna_type", "inputs", "outputs", "internal_links", "parent", "location", "location_absolute", "width", "height", "dimensions", "select"}
+_DEPTH = 4  # of structs within a node: curves hold curves hold points
 SUPERSAMPLES = 16  # Cycles samples a pixel where edges (sun disc) are to be averaged
 
 
@@ -31,6 +34,11 @@ class ExtractedWorld:
 
     world: World
     approximated: tuple[str, ...] = ()
+
+    @staticmethod
+    def black() -> ExtractedWorld:
+        """No light at all."""
+        return ExtractedWorld(World(np.zeros(3, np.float32)))
 
 
 def _visibility(world: Any) -> int:
@@ -58,15 +66,54 @@ def constant_color(world: Any) -> F32 | None:
     return np.array(color.default_value[:3], np.float32) * np.float32(strength.default_value)
 
 
+def constant_world(world: Any) -> ExtractedWorld | None:
+    """A bpy.types.World that is the same in all directions (None: black); None where it is not."""
+    color = constant_color(world)
+    return None if color is None else ExtractedWorld(World(color, None, ALL_RAYS if world is None else _visibility(world)))
+
+
+def fingerprint(world: Any, frame: int) -> str:
+    """A text that differs where the world may look different: all numbers of its nodes, what they refer to, and the frame where a film is shown."""
+    tree = world.inline_shader_nodes()
+    lines = [world.name_full, str(_visibility(world))]
+    for node in tree.node_tree.nodes:
+        lines.append(node.bl_idname)
+        _describe(node, lines, 0)
+        for socket in node.inputs:
+            lines += [_value(getattr(socket, "default_value", None)), *(f"{link.from_node.name}.{link.from_socket.identifier}" for link in socket.links)]
+    if any(node.type in {"TEX_ENVIRONMENT", "TEX_IMAGE"} and node.image is not None and node.image.source in _FILMS for node in tree.node_tree.nodes):
+        lines.append(str(frame))
+    return "\n".join(lines)
+
+
+def _describe(item: Any, lines: list[str], depth: int) -> None:
+    """All values of a struct of Blender's, and of those in it."""
+    for prop in item.bl_rna.properties:
+        if prop.identifier in _NO_LOOKS:
+            continue
+        value = getattr(item, prop.identifier)
+        if prop.type not in {"POINTER", "COLLECTION"}:
+            lines.append(_value(value))
+        elif isinstance(value, bpy.types.ID):
+            lines.append(value.name_full + (_value(value.matrix_world) if isinstance(value, bpy.types.Object) else ""))
+        elif value is not None and depth < _DEPTH:
+            for part in value if prop.type == "COLLECTION" else [value]:
+                _describe(part, lines, depth + 1)
+
+
+def _value(value: Any) -> str:
+    return repr([_value(part) for part in value]) if hasattr(value, "__iter__") and not isinstance(value, str) else repr(value)
+
+
 def extract_world(scene: Any, view_layer: Any = None) -> ExtractedWorld:
     """World of a scene at its current frame, as Cycles shows it to camera rays. Renders where it is not constant: not to be called inside a render.
 
     scene: bpy.types.Scene; view_layer: bpy.types.ViewLayer, whose world override counts. Everything made for the bake is removed again.
     """
     world = getattr(view_layer, "world_override", None) or scene.world
-    color = constant_color(world)
-    if color is not None:
-        return ExtractedWorld(World(color, None, ALL_RAYS if world is None else _visibility(world)))
+    constant = constant_world(world)
+    if constant is not None:
+        return constant
     tree = world.inline_shader_nodes()
     nodes = list(tree.node_tree.nodes)
     lines = []

@@ -1,0 +1,85 @@
+"""The frames of a scene, one after the other."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any
+
+from ...core.errors import InputError
+from .camera import NO_CAMERA
+from .depsgraph import RenderGraph
+from .scene import Extraction, Frame, SceneReader
+from .world import ExtractedWorld, constant_world, extract_world, fingerprint
+
+
+class Extractor:
+    """Extracts frames of a scene as a final render would see them, at a cost that follows what changes from each to the next.
+
+        with Extractor(bpy.context.scene) as extractor:
+            for number in (1, 2, 3):
+                extraction = extractor.frame(number)     # extraction.change: what is other than in the frame before
+
+    Every frame is as if it were extracted alone, but for the numbers of meshes, which stay what they were. While Blender's graph is held (`RenderGraph`),
+    Blender evaluates, and we read, what it says has changed; with a new graph everything is read, and compared with what was there.
+    """
+
+    def __init__(self, scene: Any, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None) -> None:
+        """scene: bpy.types.Scene; view_layer: name, None takes the first that is used for rendering; world: instead of the scene's own, for all frames."""
+        self.scene = scene
+        self.allow_no_camera = allow_no_camera
+        self._graph = RenderGraph(scene, view_layer)
+        self._reader = SceneReader(allow_no_camera)
+        self._given, self._world, self._fingerprint = world, world, ""
+
+    def __enter__(self) -> Extractor:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.release()
+
+    def frame(self, number: int | None = None, keep: bool = True) -> Extraction:
+        """A frame, by default the scene's current one, which it then is. keep: hold the graph for the next frame, until `release`.
+
+        Raises InputError: no camera, an unsupported camera, nothing to render, the scene cannot be rendered.
+        """
+        if number is not None and number != self.scene.frame_current:
+            self.scene.frame_current = number
+        if self.scene.camera is None and not self.allow_no_camera:
+            raise InputError(NO_CAMERA)
+        frame, world, mark = self._graph.evaluate(self._read, keep)
+        if world is None:
+            if self._world is None or mark != self._fingerprint:
+                self._world = self._bake()
+            world = self._world
+        self._fingerprint = mark
+        if not keep:
+            self._reader.graph.forget()
+        return self._reader.finish(frame, world)
+
+    def release(self) -> None:
+        """Put the scene's render settings back, and let Blender free its graph; the next frame gets a new one."""
+        self._reader.graph.forget()
+        self._graph.release()
+
+    def _read(self, depsgraph: Any, goes_on: bool) -> tuple[Frame, ExtractedWorld | None, str]:
+        """What there is to read of a graph: the frame, the world where it needs no render, and what tells that it is another."""
+        world = self._given
+        item = getattr(depsgraph.view_layer_eval, "world_override", None) or depsgraph.scene_eval.world
+        if world is None:
+            world = constant_world(item)
+        return self._reader.read(depsgraph, goes_on), world, "" if world is not None else fingerprint(item, depsgraph.scene_eval.frame_current)
+
+    def _bake(self) -> ExtractedWorld:
+        """The world of the current frame, rendered. Blender then frees the graph."""
+        self.scene.frame_set(self.scene.frame_current)  # animated values get to the world that is rendered
+        return extract_world(self.scene, self.scene.view_layers[self._graph.layer])
+
+
+def extract_frame(
+    scene: Any, frame: int | None = None, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None
+) -> Extraction:
+    """One frame of a Blender scene as a final render would see it. Raises as `Extractor.frame`.
+
+    world: from `extract_world`, to bake an unchanging world once for many frames; None bakes it here.
+    """
+    return Extractor(scene, view_layer, allow_no_camera, world).frame(frame, keep=False)

@@ -1,0 +1,76 @@
+"""Materials and textures over the frames of a shot: converted again only where Blender says that something of theirs changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.scene import I32, Records, Textures
+from .graph import GraphReader
+from .materials import MaterialTable
+from .textures import Pixels, TextureTable
+
+_CLASSES = ("Material", "NodeTree", "Texture", "Image")
+
+
+@dataclass(frozen=True)
+class Shading:
+    """What `core.scene.Scene` needs of the materials; textured: (M,) bool, which of them need UVs."""
+
+    slot_materials: I32
+    materials: Records
+    textures: Textures
+    uv_maps: tuple[str, ...]
+    textured: NDArray[np.bool_]
+    approximated: tuple[str, ...]
+
+    def same(self, other: Shading) -> bool:
+        """Whether all arrays are the same."""
+        pairs = [(getattr(self, name), getattr(other, name)) for name in ("slot_materials", "materials")]
+        pairs += [(getattr(self.textures, name), getattr(other.textures, name)) for name in ("records", "bytes", "floats")]
+        return (self.uv_maps, self.approximated) == (other.uv_maps, other.approximated) and all(_same_bytes(a, b) for a, b in pairs)
+
+
+def _same_bytes(a: NDArray[Any], b: NDArray[Any]) -> bool:
+    return a is b or (a.shape == b.shape and a.dtype == b.dtype and a.tobytes() == b.tobytes())
+
+
+class ShadingReader:
+    """Converts the materials of a frame. The pixels of an image are read once, unless Blender says that the image changed."""
+
+    def __init__(self) -> None:
+        self._last: Shading | None = None
+        self._order: tuple[str | None, ...] = ()
+        self._pixels: dict[tuple[str, bool], Pixels] = {}
+
+    def read(self, reader: GraphReader) -> Shading:
+        """The materials of what the reader found, in the order in which it found them; the same object as in the frame before where nothing changed."""
+        order, table, last = tuple(reader.slots.order), reader.slots.table(), self._last
+        listed = [update.id for update in reader.listed.values()] if reader.listed is not None else None
+        if last is not None and listed is not None and order == self._order and not any(_shades(block) for block in listed):
+            if not np.array_equal(table, last.slot_materials):
+                last = Shading(table, last.materials, last.textures, last.uv_maps, last.textured, last.approximated)
+        else:
+            changed = {block.name_full for block in listed or () if type(block).__name__ == "Image"}
+            self._pixels = {key: pixels for key, pixels in self._pixels.items() if key[0] not in changed}
+            now = self._convert(order, reader.materials, table)
+            last = last if last is not None and last.same(now) else now
+        self._last, self._order = last, order
+        return last
+
+    def _convert(self, order: tuple[str | None, ...], materials: dict[str, Any], table: I32) -> Shading:
+        textures = TextureTable(print, self._pixels)
+        records = MaterialTable(textures)
+        for name in order:
+            records.index(None if name is None else materials[name])
+        textured = np.array([records.textured(k) for k in range(len(records.records))], bool)
+        return Shading(table, records.build(), textures.build(), tuple(textures.uv_maps), textured, tuple(records.approximated))
+
+
+def _shades(block: Any) -> bool:
+    """Whether a change of a data-block may change materials."""
+    name = type(block).__name__
+    return any(part in name for part in _CLASSES) and not name.startswith(("Geometry", "Compositor"))
