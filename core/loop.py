@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .blas import BlasCache, Work
 from .change import Change
@@ -22,16 +23,18 @@ from .errors import Cancelled
 from .feedback import Feedback, Weights
 from .film import LUMINANCE, Picture
 from .hitboxes import Hitboxes
-from .placing import LARGEST
+from .path_log import PathLog
 from .progress import Progress, silent
 from .regions import Cut, Regions
-from .scene import F32, I64, U8, Scene
+from .scene import F32, I32, I64, U8, RayType, Scene
 from .tlas import Tlas
-from .tracer import Prepared, prepare, trace
+from .tracer import Prepared, advanced, prepare, trace
+from .view import View
 
 COLD_HITS = 4  # segments of one round that must cross a box before it is opened: fewer is chance
 SETTLED = 0.02  # segments per path that still ask for a box when the cold start ends
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
+LARGE = 0.05  # of the picture's width: what comes into view this large is activated before it is asked for
 
 
 @dataclass(frozen=True)
@@ -66,17 +69,38 @@ class _Timer:
 
 @dataclass(frozen=True)
 class Measurement:
-    """Feedback of a trace of candidates, its mean picture (H, W, 4) float32, and the number of its first sample."""
+    """Feedback of a trace of candidates, what each of its paths met, and the number of its first sample. emissive: (E,) emitters, built or not."""
 
     tlas: Tlas
     feedback: Feedback
     weights: Weights
-    picture: F32
+    log: PathLog
     first_sample: int
+    emissive: I64
+
+    @property
+    def met(self) -> I64:
+        """(N,) int64: rays that met each instance. Only built ones and emitters can have been met."""
+        hits = self.feedback.hits
+        out = np.zeros(len(hits), np.int64)
+        for rows in (self.tlas.ids, self.emissive):
+            out[rows] = hits[rows].sum(axis=1)
+        return out
+
+
+def _existing(bounds: F32) -> np.ndarray:
+    """What can be met: has triangles, and coordinates that are finite and no larger than Embree takes. (N, 2, 3) -> (N,) bool."""
+    with np.errstate(invalid="ignore"):
+        usable = np.abs(bounds) <= LARGEST
+    return (bounds[:, 0] <= bounds[:, 1]).all(axis=1) & usable.all(axis=(1, 2))
 
 
 class Loop:
-    """The loop over one scene: what exists between its rounds."""
+    """The loop over a scene, and on to its next frames: what exists between rounds.
+
+    exists, pinned: (N,) bool. active: (N,) bool, instances that are, or are to be, in the TLAS. kept: (N,) bool, what the last decision kept.
+    value: (N,) float32, share of the paths that met an instance, or asked for it, when that was last known. measured: the last measurement of this frame.
+    """
 
     def __init__(
         self,
@@ -89,55 +113,121 @@ class Loop:
         """cancelled: polled during long work; where it says True, `Cancelled` is raised. device: Embree's, shared by default. pinned: as in `analyze`."""
         self.options = options
         self.device = device or shared_device(options.threads)
-        self.active = np.zeros(len(scene.instances), bool)
-        self.kept = np.zeros(len(scene.instances), bool)  # what the frame before kept
+        count = len(scene.instances)
+        self.active, self.kept, self.value = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, np.float32)
+        self.cold = True  # nothing is known yet of what paths need
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
+        self._shown = np.zeros(0, np.int32)  # large instances in view
+        self._enter(scene, cancelled)
+        start = time.perf_counter()
+        self.exists = _existing(scene.instances.bounds)
+        self.regions = Regions(scene.instances.bounds, np.flatnonzero(self.exists))
         self.blas = BlasCache(scene.meshes, self.device)
-        self._enter(scene, cancelled, pinned)
+        self.prepared = prepare(scene, self.blas)
+        self._pin(pinned)
+        self.timer.add("build_s", start)
 
     def advance(self, scene: Scene, change: Change, cancelled: Callable[[], bool] | None = None, pinned: np.ndarray | None = None) -> None:
-        """Go on to the next frame: what was active and kept is so again, whatever has changed is read and built anew when it is needed."""
-        if change.previous is not None:
-            known = change.previous >= 0
-            self.active = known & self.active[change.previous]
-            self.kept = known & self.kept[change.previous]
+        """Go on to the next frame: what was active and kept is so again; only what has changed is looked at."""
+        self._enter(scene, cancelled)
+        start = time.perf_counter()
+        self.blas.work = Work()
         self.blas.advance(scene.meshes, change.deformed, change.replaced)
-        self._enter(scene, cancelled, pinned)
+        if not change.still:
+            self.regions.forget()
+        if change.previous is None:
+            self._move(change.moved)
+        else:
+            self._carry(change.previous)
+        self.prepared = advanced(self.prepared, scene, change)
+        self._pin(pinned)
+        self.timer.add("build_s", start)
 
-    def _enter(self, scene: Scene, cancelled: Callable[[], bool] | None, pinned: np.ndarray | None) -> None:
+    def _enter(self, scene: Scene, cancelled: Callable[[], bool] | None) -> None:
         """Begin a frame."""
         self.scene = scene
         self.cancelled = cancelled or (lambda: False)
         self.timer = _Timer()
-        start = time.perf_counter()
-        self.blas.work = Work()
-        instances = scene.instances
-        # What has no extent to meet takes no part: no triangles, or a transform that is not finite.
-        self.exists = (instances.bounds[:, 0] <= instances.bounds[:, 1]).all(axis=1) & np.isfinite(instances.bounds).all(axis=(1, 2))
-        self.pinned = np.zeros(len(instances), bool) if pinned is None else pinned & self.exists
-        self.active = (self.active & self.exists) | self.pinned
         self.rounds = self.paths = self.rays = 0
-        self.next_sample = self.options.paths  # a measurement has the first ones, in every frame the same: what did not change measures the same
         self.measured: Measurement | None = None
+        self._asked: tuple[Cut, I64] | None = None  # boxes of the last round, and how often they were crossed
         height = max(1, round(self.options.width * scene.film.height / scene.film.width))
         self.size = (min(self.options.width, scene.film.width), min(height, scene.film.height))
-        self.regions = Regions(instances.bounds, np.flatnonzero(self.exists))
-        self.prepared = prepare(scene, self.blas)
-        self.timer.add("build_s", start)
+        self.samples = self.options.paths_per_pixel(self.size[0] * self.size[1])
+        self.next_sample = self.samples  # a measurement has the first ones, in every frame the same: what did not change measures the same
+
+    def _pin(self, pinned: np.ndarray | None) -> None:
+        self.pinned = np.zeros(len(self.active), bool) if pinned is None else pinned & self.exists
+        self.active |= self.pinned
+
+    def _move(self, moved: np.ndarray | None) -> None:
+        """Follow motion, (N,) bool, of the same instances."""
+        bounds = self.scene.instances.bounds
+        rows = np.zeros(0, np.int64) if moved is None else np.flatnonzero(moved)
+        exist = _existing(bounds[rows])
+        if (exist != self.exists[rows]).any():
+            self.exists = self.exists.copy()
+            self.exists[rows] = exist
+            self.active &= self.exists
+            self.regions = self.regions.renewed(bounds, np.flatnonzero(self.exists))
+            return
+        self.regions.move(rows[exist], bounds)
+        if len(rows) and self.regions.decayed:
+            self.regions = self.regions.renewed(bounds, np.flatnonzero(self.exists))
+
+    def _carry(self, previous: I32) -> None:
+        """Follow instances to their new rows: (N,) int32 row of the frame before, -1 for new ones."""
+        bounds = self.scene.instances.bounds
+        self.exists = _existing(bounds)
+        shown = np.zeros(len(self.active), bool)
+        shown[self._shown] = True
+        known = np.flatnonzero(previous >= 0)
+
+        def carried(old: np.ndarray) -> np.ndarray:
+            new = np.zeros(len(previous), old.dtype)
+            new[known] = old[previous[known]]
+            return new
+
+        self.active, self.kept, self.value = carried(self.active) & self.exists, carried(self.kept), carried(self.value)
+        self._shown = np.flatnonzero(carried(shown)).astype(np.int32)
+        self.regions = self.regions.renewed(bounds, np.flatnonzero(self.exists), previous)
 
     def build(self, active: np.ndarray, progress: Progress = silent) -> Tlas:
-        """The TLAS over active instances, their BLASes built first."""
+        """The TLAS over active (N,) bool instances; within a budget over those whose BLAS is there, else their BLASes are built first."""
         start = time.perf_counter()
+        if not self._limited:
+            self.blas.need(self.scene.instances.mesh[active], self._step(progress))
+        tlas = Tlas(self.scene.instances, self.blas, active)
+        self.timer.add("build_s", start)
+        return tlas
 
+    @property
+    def _limited(self) -> bool:
+        return bool(self.options.blas_budget_ms or self.options.blas_budget_bytes)
+
+    def _step(self, progress: Progress) -> Callable[[int, int], None]:
         def step(done: int, of: int) -> None:
             progress(done / of, f"building {of:,} meshes")
             if self.cancelled():
                 raise Cancelled
 
-        self.blas.need(self.scene.instances.mesh[active], step)
-        tlas = Tlas(self.scene.instances, self.blas, active)
+        return step
+
+    def _provide(self, progress: Progress) -> None:
+        """Within a budget: have the BLASes of active instances built, the most valuable first. A time budget is spent once per frame."""
+        if not self._limited or (self.options.blas_budget_ms and self.rounds > 1):
+            return
+        start = time.perf_counter()
+        rows = np.flatnonzero(self.active)
+        meshes, users = np.unique(self.scene.instances.mesh[rows], return_inverse=True)
+        order = np.argsort(-np.bincount(users, self.value[rows], len(meshes)), kind="stable")
+        self.blas.provide(meshes[order], self.options.blas_budget_ms / 1000, self.options.blas_budget_bytes, self._step(progress))
         self.timer.add("build_s", start)
-        return tlas
+
+    def _waiting(self) -> I64:
+        """Active instances without a BLAS: it is being built, or does not fit the budget."""
+        rows = np.flatnonzero(self.active)
+        return rows[self.blas.scenes[self.scene.instances.mesh[rows]] == 0]
 
     def trace(
         self,
@@ -156,12 +246,20 @@ class Loop:
         return self._counted(tlas, samples, first_sample, boxes, weights, progress, size or self.size)
 
     def _counted(
-        self, tlas: Tlas, samples: int, first_sample: int, boxes: Hitboxes | None, weights: Weights | None, progress: Progress, size: tuple[int, int]
+        self,
+        tlas: Tlas,
+        samples: int,
+        first_sample: int,
+        boxes: Hitboxes | None,
+        weights: Weights | None,
+        progress: Progress,
+        size: tuple[int, int],
+        log: PathLog | None = None,
     ) -> tuple[Feedback, F32]:
         """Feedback and mean picture of the samples from first_sample on."""
         start = time.perf_counter()
         feedback = Feedback.zeros(len(self.scene.instances), boxes, weights)
-        picture = self._trace(self.prepared, tlas, samples, first_sample, feedback, progress, size)
+        picture = self._trace(self.prepared, tlas, samples, first_sample, feedback, progress, size, log)
         self.paths += picture.paths
         self.rays += picture.rays
         feedback.paths = picture.paths
@@ -172,8 +270,10 @@ class Loop:
         """Hits and weights of the instances in tlas (default: the active ones), by the number of paths per pixel that the options ask for."""
         tlas = tlas or self.build(self.active)
         weights = Weights.zeros(len(self.active), tlas.ids, self.ambient)
-        feedback, picture = self._counted(tlas, self.options.paths, 0, boxes, weights, progress, self.size)
-        return Measurement(tlas, feedback, weights, picture, 0)
+        log = PathLog.zeros(self.size[1], self.size[0], self.samples)
+        feedback, picture = self._counted(tlas, self.samples, 0, boxes, weights, progress, self.size, log)
+        self.ambient = _mean_luminance(picture)
+        return Measurement(tlas, feedback, weights, log, 0, self.prepared.emissive)
 
     def trace_again(self, keep: np.ndarray, first_sample: int, samples: int, progress: Progress = silent) -> F32:
         """The mean picture with only keep (N,) bool in the scene, by the same random numbers as a trace that began at first_sample.
@@ -187,6 +287,16 @@ class Loop:
         self.timer.add("trace_s", start)
         return picture.mean
 
+    def luminance_without(self, measured: Measurement, keep: np.ndarray, only: NDArray[np.uint8], progress: Progress = silent) -> F32:
+        """Luminance of the paths of a measurement that only, (H, W, S), marks, with only keep (N,) bool in the scene: (H, W, S) float32."""
+        tlas = self.build(keep)
+        start = time.perf_counter()
+        log = PathLog(measured.log.records, np.zeros_like(measured.log.luminance))
+        picture = self._trace(self._dark_but(keep), tlas, only.shape[2], measured.first_sample, None, progress, self.size, log, only)
+        self.rays += picture.rays
+        self.timer.add("trace_s", start)
+        return log.luminance
+
     def _dark_but(self, keep: np.ndarray) -> Prepared:
         """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""
         flags = np.where(keep, self.scene.instances.flags, np.uint8(0))
@@ -198,21 +308,32 @@ class Loop:
         Emitters that are not built shine through walls that are not built either; a picture with their light is none to compare others with.
         """
         if self.measured is not None:
-            built = np.zeros(len(self.active), bool)
-            built[self.measured.tlas.ids] = True
-            unbuilt = self.exists & ~built & (self.measured.feedback.hits.sum(axis=1) > 0)
-            if not unbuilt.any():
+            unbuilt = self.measured.emissive[self.measured.met[self.measured.emissive] > 0]
+            unbuilt = np.setdiff1d(unbuilt, self.measured.tlas.ids)
+            if not len(unbuilt):
                 return self.measured
-            self.active |= unbuilt
-        lit, self.prepared = self.prepared, self._dark_but(self.active)
+            self.active[unbuilt] = True
+        tlas = self.build(self.active, progress)
+        built = np.zeros(len(self.active), bool)
+        built[tlas.ids] = True
+        lit, self.prepared = self.prepared, self._dark_but(built)
         try:
-            self.measured = self.measure(progress=progress)
+            self.measured = self.measure(tlas, progress=progress)
         finally:
             self.prepared = lit
         return self.measured
 
     def _trace(
-        self, prepared: Prepared, tlas: Tlas, samples: int, first_sample: int, feedback: Feedback | None, progress: Progress, size: tuple[int, int]
+        self,
+        prepared: Prepared,
+        tlas: Tlas,
+        samples: int,
+        first_sample: int,
+        feedback: Feedback | None,
+        progress: Progress,
+        size: tuple[int, int],
+        log: PathLog | None = None,
+        only: NDArray[np.uint8] | None = None,
     ) -> Picture:
         picture = trace(
             prepared,
@@ -227,6 +348,8 @@ class Loop:
             threads=self.options.threads,
             progress=progress,
             cancelled=self.cancelled,
+            log=log,
+            only=only,
         )
         if self.cancelled():
             raise Cancelled
@@ -234,65 +357,113 @@ class Loop:
 
     def run(self, progress: Progress = silent) -> None:
         """Rounds until no box is asked for any more, the last of which leaves `measured`. Where nothing is known yet coarse ones, of few paths, come first."""
+        self._notice()
         coarse_size = (max(self.size[0] // 2, 1), max(self.size[1] // 2, 1))
-        coarse = self.ambient == 0.0
+        coarse = self.cold
+        self.cold = False
         while self.rounds < self.options.max_iterations:
             self.rounds += 1
             progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.active.sum()):,} of {len(self.active):,} instances active")
+            self._provide(progress)
             tlas = self.build(self.active)
             start = time.perf_counter()
-            cut = self.regions.cut(self.active)
+            waiting = self._waiting() if self._limited else None
+            cut = self.regions.cut(np.flatnonzero(self.active) if waiting is None else tlas.ids, waiting)
             boxes = Hitboxes(cut.bounds, self.device)
             self.timer.add("build_s", start)
             if coarse:
                 samples = max(1, round(ROUND_PATHS / (coarse_size[0] * coarse_size[1])))
                 feedback, picture = self.trace(tlas, samples, boxes, size=coarse_size)
-                self.ambient = float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean())
+                self.ambient = _mean_luminance(picture)
                 coarse = self._ask(cut, feedback) >= SETTLED
             else:
                 self.measured = self.measure(tlas, boxes)
                 if self._ask(cut, self.measured.feedback) < SETTLED:
                     return
 
+    def _notice(self) -> None:
+        """Activate large instances that have come into view since the last frame: the first frame with them is to show them (latency mitigation)."""
+        if not self.options.mitigation:
+            return
+        start = time.perf_counter()
+        shown = self.regions.in_view(View.of(self.scene.camera), LARGE)
+        shown = np.sort(shown[(self.scene.instances.flags[shown] & (1 << RayType.CAMERA)) != 0])
+        if not self.cold:
+            new = np.setdiff1d(shown, self._shown, assume_unique=True)
+            new = new[~self.active[new]]
+            self.active[new], self.value[new] = True, LARGE**2
+        self._shown = shown
+        self.timer.add("build_s", start)
+
     def _ask(self, cut: Cut, feedback: Feedback) -> float:
         """Open the boxes that paths asked for, activate instances met before they were active. Returns how many segments per path asked."""
         start = time.perf_counter()
         crossings = feedback.boxes.sum(axis=1)
         asked = np.flatnonzero(crossings >= COLD_HITS)
+        leaves = asked[cut.level[asked] == 0]
+        single = self.regions.order[cut.index[leaves]]
+        self.value[single] = crossings[leaves] / max(feedback.paths, 1)
+        asked = np.setdiff1d(asked, leaves[self.active[single]], assume_unique=True)  # less those that wait for their BLAS
         self.regions.split_nodes(cut, asked, crossings[asked] // COLD_HITS)
         self.active[self.regions.instances_of(cut, asked)] = True
-        self.active |= (feedback.hits.sum(axis=1) >= COLD_HITS) & self.exists  # emitters that lit a path are known before their boxes are crossed
+        emissive = self.prepared.emissive  # emitters that lit a path are known before their boxes are crossed
+        self.active[emissive[feedback.hits[emissive].sum(axis=1) >= COLD_HITS]] = True
+        self._asked = (cut, crossings)
         self.timer.add("feedback_s", start)
         return float(crossings[asked].sum()) / max(feedback.paths, 1)
 
     def result(self, keep: np.ndarray, score: F32, hits: I64, **figures: float | int) -> CullingResult:
-        """States for keep (N,) bool, with the final structures built and counted; figures go into the stats."""
+        """States for keep (N,) bool, with the final structures built and counted; figures go into the stats. What the next frame need not have is freed."""
         keep = self.kept = keep | self.pinned
+        self.active |= keep
+        self._provide(silent)
         tlas = self.build(keep)
-        self.blas.keep_only(self.scene.instances.mesh[keep])
+        self._release()
         start = time.perf_counter()
-        self.regions.merge()
-        cut = self.regions.cut(keep)
+        mesh = self.scene.instances.mesh
+        self.blas.keep_only(mesh[self.active])
+        cut = self.regions.cut(np.flatnonzero(keep))
         boxes = Hitboxes(cut.bounds, self.device)
-        self.timer.add("build_s", start)
         state = np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED))
+        waiting = self._waiting() if self._limited else np.zeros(0, np.int64)
+        state[waiting] = State.PENDING if self.options.blas_budget_ms else State.CULLED
+        self.timer.add("build_s", start)
+        counts = np.bincount(state, minlength=len(State))
         stats: dict[str, float | int] = {
             "instances": len(keep),
-            "active": int(keep.sum()),
-            "pending": 0,
-            "culled": int((~keep).sum()),
+            "active": int(counts[State.ACTIVE]),
+            "pending": int(counts[State.PENDING]),
+            "culled": int(counts[State.CULLED]),
             "hitboxes": len(boxes),
-            "meshes": len(self.blas),
+            "meshes": len(np.unique(mesh[tlas.ids])),
             "blas_built": self.blas.work.built,
             "blas_refitted": self.blas.work.refitted,
-            "blas_s": self.blas.work.build_s,
-            "refit_s": self.blas.work.refit_s,
-            "blas_bytes": self.blas.bytes,
+            "blas_bytes": int(self.blas.bytes_of[np.unique(mesh[tlas.ids])].sum()),
+            "blas_held_bytes": self.blas.bytes,
             "tlas_bytes": tlas.bytes + boxes.bytes,
             **self.timer.seconds,
+            "blas_s": self.blas.work.build_s,
+            "refit_s": self.blas.work.refit_s,
             "paths": self.paths,
             "rays": self.rays,
             "iterations": self.rounds,
             **figures,
         }
         return CullingResult(state, score, hits, cut.bounds, stats)
+
+    def _release(self) -> None:
+        """Let go of what paths do not need any more: instances that none met, regions whose parts none asked for."""
+        if self.measured is None:
+            return
+        start = time.perf_counter()
+        ids, met = self.measured.tlas.ids, self.measured.met
+        self.value[ids] = met[ids] / max(self.measured.feedback.paths, 1)
+        unmet = ids[(met[ids] == 0) & ~self.kept[ids]]
+        self.active[self.regions.release(unmet)] = False
+        if self._asked is not None:
+            self.regions.close(np.flatnonzero(self.active), *self._asked)
+        self.timer.add("feedback_s", start)
+
+
+def _mean_luminance(picture: F32) -> float:
+    return float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean())

@@ -2,6 +2,9 @@
 
 The tree is implicit: instances in extended Morton order, nodes of level l are runs of 8**l neighbours. No pointers, no loops over instances; bounds of every
 level are reductions over the level below. The cut holds, for every culled instance, exactly one node that contains it and nothing active.
+
+Over frames the tree stays: boxes follow what moves, and the order is made anew where it has decayed. A region that paths ask for is split; one whose parts they
+do not ask for any more is closed again. A region that is asked for at once after that will not be closed again for a while: so none opens and closes forever.
 """
 
 from __future__ import annotations
@@ -11,8 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from .scene import F32, I32, I64
+from .view import View
 
 FANOUT = 8
+QUIET = 4  # crossings of all parts of a region below which it is closed
+MEMORY = 32  # changed frames, about, until it is forgotten that a region was closed in vain
+DECAYED = 2.0  # growth of the regions' surface at which the order is made anew
 _MORTON_BITS = 16
 _SIZE_CLASSES = 8  # an instance is at most a quarter as large as one of the class before it
 
@@ -75,41 +82,133 @@ class Regions:
         boxes = bounds if members is None else bounds[self.members]
         order = spatial_order(boxes)
         self.order: I32 = self.members[order]
+        self.place: I32 = np.full(len(bounds), -1, np.int32)  # of every instance along the curve, -1 for none
+        self.place[self.order] = np.arange(len(order), dtype=np.int32)
         self._bounds: list[F32] = [np.ascontiguousarray(boxes[order])]
+        self._extent: list[F32] = [_extents(self._bounds[0])]  # of the largest instance in each node, its longest side
         while len(self._bounds[-1]) > FANOUT:
-            below = self._bounds[-1]
-            starts = np.arange(0, len(below), FANOUT)
-            self._bounds.append(np.stack([np.minimum.reduceat(below[:, 0], starts), np.maximum.reduceat(below[:, 1], starts)], axis=1))
-        self.split: list[np.ndarray] = [np.zeros(len(level), bool) for level in self._bounds]
+            self._bounds.append(_enclosing(self._bounds[-1]))
+            self._extent.append(np.maximum.reduceat(self._extent[-1], np.arange(0, len(self._extent[-1]), FANOUT)))
+        self.split, self._closed, self._lasting = ([np.zeros(len(level), bool) for level in self._bounds] for _ in range(3))
+        self._now: F32 | None = None  # boxes of the last frame, where some have moved; _bounds[0] spans the motion
+        self._moving = np.zeros(0, np.int64)  # places that moved in the last frame
+        self._surface = self._region_surface()
+        self._frame = 0
 
     @property
     def levels(self) -> int:
         """Levels of the tree, level 0 being single instances."""
         return len(self._bounds)
 
-    def cut(self, active: np.ndarray) -> Cut:
-        """The coarsest cut that keeps active (N,) bool out of every node and honours `split`."""
-        occupied = active[self.order]
-        opened = [occupied]
+    @property
+    def decayed(self) -> bool:
+        """Whether things have moved so far that a new order is worth its cost."""
+        return self._region_surface() > DECAYED * self._surface
+
+    def _region_surface(self) -> float:
+        """Surface of the boxes of the lowest regions: what rays meet, about."""
+        if self.levels < 2:
+            return 0.0
+        e = (self._bounds[1][:, 1] - self._bounds[1][:, 0]).astype(np.float64)
+        return float((e[:, 0] * e[:, 1] + e[:, 1] * e[:, 2] + e[:, 2] * e[:, 0]).sum())
+
+    def move(self, rows: np.ndarray, bounds: F32) -> None:
+        """Take over new boxes (N, 2, 3) of the instances rows; a box then spans the place before the motion and the one after, until the next call."""
+        places = self.place[rows].astype(np.int64)
+        if not len(places) and not len(self._moving):
+            return
+        if self._now is None:
+            self._now = self._bounds[0].copy()
+        self._bounds[0][self._moving] = self._now[self._moving]
+        new = bounds[rows]
+        self._bounds[0][places, 0] = np.minimum(self._now[places, 0], new[:, 0])
+        self._bounds[0][places, 1] = np.maximum(self._now[places, 1], new[:, 1])
+        self._now[places] = new
+        self._extent[0][places] = _extents(new)
+        changed, self._moving = np.concatenate([places, self._moving]), places
         for level in range(1, self.levels):
-            occupied = np.logical_or.reduceat(occupied, np.arange(0, len(occupied), FANOUT))
-            opened.append(occupied | self.split[level])
+            changed = np.unique(changed // FANOUT)
+            parts = np.minimum(changed[:, None] * FANOUT + np.arange(FANOUT), len(self._bounds[level - 1]) - 1)
+            self._bounds[level][changed, 0] = self._bounds[level - 1][parts, 0].min(axis=1)
+            self._bounds[level][changed, 1] = self._bounds[level - 1][parts, 1].max(axis=1)
+            self._extent[level][changed] = self._extent[level - 1][parts].max(axis=1)
+
+    def renewed(self, bounds: F32, members: np.ndarray, previous: np.ndarray | None = None) -> Regions:
+        """A tree in new order over members of bounds, (N, 2, 3), that is split where this one is.
+
+        previous: (N,) row of each instance in this tree's bounds, -1 for new ones; None: the same.
+        """
+        new = Regions(bounds, members)
+        rows = new.order if previous is None else previous[new.order]
+        old = np.where(rows >= 0, self.place[rows], -1)
+        known, old = np.flatnonzero(old >= 0), old[old >= 0]
+        for mine, theirs in ((self.split, new.split), (self._closed, new._closed), (self._lasting, new._lasting)):
+            for level in range(min(self.levels, new.levels)):
+                theirs[level][known[mine[level][old // FANOUT**level]] // FANOUT**level] = True
+        new._frame = self._frame
+        return new
+
+    def forget(self) -> None:
+        """The picture has changed: part of what was learned in vain may be tried again."""
+        self._frame += 1
+        for flags in (*self._closed, *self._lasting):
+            flags[self._frame % MEMORY :: MEMORY] = False
+
+    def _occupied(self, active: np.ndarray) -> list[np.ndarray]:
+        """Nodes with something active (instances) in them, by level, each an ascending array."""
+        places = self.place[active]
+        nodes = np.sort(places[places >= 0].astype(np.int64))
+        out = [nodes]
+        for _ in range(1, self.levels):
+            nodes = nodes // FANOUT
+            nodes = nodes[np.flatnonzero(np.diff(nodes, prepend=-1))]
+            out.append(nodes)
+        return out
+
+    def cut(self, active: np.ndarray, waiting: np.ndarray | None = None) -> Cut:
+        """The coarsest cut that keeps the instances active (indices, distinct) out of every node and honours `split`.
+
+        waiting: instances that are culled for now, and stand in by boxes of their own.
+        """
+        occupied = self._occupied(active if waiting is None else np.concatenate([active, waiting]))
+        if waiting is not None:
+            occupied[0] = np.sort(self.place[active][self.place[active] >= 0])
         levels, indices, bounds = [], [], []
-        reachable = np.ones(len(self._bounds[-1]), bool)
+        nodes = np.arange(len(self._bounds[-1]))
         for level in range(self.levels - 1, -1, -1):
-            chosen = np.flatnonzero(reachable & ~opened[level])
+            opened = self.split[level].copy() if level else np.zeros(len(self._bounds[0]), bool)
+            opened[occupied[level]] = True
+            inside = opened[nodes]
+            chosen = nodes[~inside]
             levels.append(np.full(len(chosen), level, np.uint8))
             indices.append(chosen)
             bounds.append(self._bounds[level][chosen])
             if level:
-                reachable = np.repeat(reachable & opened[level], FANOUT)[: len(self._bounds[level - 1])]
+                nodes = (nodes[inside, None] * FANOUT + np.arange(FANOUT)).ravel()
+                nodes = nodes[nodes < len(self._bounds[level - 1])]
         # Finest first: where boxes coincide, a ray that counts the nearest few takes the first, and so gets to single instances without opening all of them.
         return Cut(np.concatenate(levels[::-1]), np.concatenate(indices[::-1]), np.concatenate(bounds[::-1]))
 
-    def merge(self) -> None:
-        """Take back every split."""
-        for level in self.split:
-            level[:] = False
+    def close(self, active: np.ndarray, cut: Cut, crossings: I64) -> None:
+        """Take back the splits whose parts paths do not ask for: crossings (H,) of all the boxes of a cut around active (indices)."""
+        occupied = self._occupied(active)
+        leaves = cut.level == 0
+        sums, open_below = np.zeros(0, np.int64), np.zeros(0, bool)
+        for level in range(1, self.levels):
+            count = len(self._bounds[level])
+            if level == 1:
+                sums = np.bincount(cut.index[leaves] // FANOUT, crossings[leaves], count).astype(np.int64)
+                open_below = np.zeros(count, bool)
+            else:
+                starts = np.arange(0, len(sums), FANOUT)
+                sums, open_below = np.add.reduceat(sums, starts), np.logical_or.reduceat(open_below, starts)
+            open_below[occupied[level]] = True
+            here = cut.level == level
+            sums[cut.index[here]] = crossings[here]
+            closed = self.split[level] & ~open_below & ~self._lasting[level] & (sums < QUIET)
+            self.split[level] &= ~closed
+            self._closed[level] |= closed
+            open_below |= self.split[level]
 
     def split_nodes(self, cut: Cut, rows: np.ndarray, wanted: np.ndarray) -> None:
         """Open nodes of a cut (rows into it) deep enough for wanted (one per row) boxes to stand in for each; single instances are passed over."""
@@ -118,13 +217,47 @@ class Regions:
             chosen = cut.level[rows] == level
             nodes, below = cut.index[rows[chosen]], depth[chosen]
             for deeper in range(level, 0, -1):
-                self.split[deeper][nodes] = True
+                self._open(deeper, nodes)
                 more = below > level - deeper + 1
                 nodes = (nodes[more, None] * FANOUT + np.arange(FANOUT)).ravel()
                 below = np.repeat(below[more], FANOUT)
                 inside = nodes < len(self.split[deeper - 1])
                 nodes, below = nodes[inside], below[inside]
 
+    def _open(self, level: int, nodes: np.ndarray) -> None:
+        self.split[level][nodes] = True
+        self._lasting[level][nodes] |= self._closed[level][nodes]
+
     def instances_of(self, cut: Cut, rows: np.ndarray) -> I32:
-        """Instances of those rows of a cut that are single instances."""
-        return self.order[cut.index[rows[cut.level[rows] == 0]]]
+        """Instances of those rows of a cut that are single instances; they are taken to be opened."""
+        places = cut.index[rows[cut.level[rows] == 0]]
+        self._open(0, places)
+        return self.order[places]
+
+    def in_view(self, view: View, share: float) -> I32:
+        """Instances whose box touches what a camera sees and is as large as this share of the picture's width, or larger: by descent, not one by one."""
+        nodes = np.arange(len(self._bounds[-1]))
+        for level in range(self.levels - 1, -1, -1):
+            nodes = nodes[view.shows(self._bounds[level][nodes], self._extent[level][nodes], share)]
+            if level:
+                nodes = (nodes[:, None] * FANOUT + np.arange(FANOUT)).ravel()
+                nodes = nodes[nodes < len(self._bounds[level - 1])]
+        return self.order[nodes]
+
+    def release(self, instances: np.ndarray) -> np.ndarray:
+        """Of active instances (indices) that no path met: those to be culled, for the others were culled and asked for again before."""
+        places = self.place[instances]
+        free = ~self._lasting[0][places]
+        self._closed[0][places[free]] = True
+        return instances[free]
+
+
+def _extents(boxes: F32) -> F32:
+    """Longest sides of boxes."""
+    return (boxes[:, 1] - boxes[:, 0]).max(axis=1, initial=0.0)
+
+
+def _enclosing(boxes: F32) -> F32:
+    """Boxes around each run of FANOUT boxes."""
+    starts = np.arange(0, len(boxes), FANOUT)
+    return np.stack([np.minimum.reduceat(boxes[:, 0], starts), np.maximum.reduceat(boxes[:, 1], starts)], axis=1)

@@ -80,7 +80,7 @@ def tlas_of(scene: Path, states: Path, frame: int) -> Any:
     active = np.load(states)["state"] == State.ACTIVE
     bounds = frozen.instances.bounds
     exists = np.isfinite(bounds).all(axis=(1, 2)) & (bounds[:, 0] <= bounds[:, 1]).all(axis=1)
-    return tlas_picture(frozen, active, Regions(bounds, np.flatnonzero(exists)).cut(active).bounds)
+    return tlas_picture(frozen, active, Regions(bounds, np.flatnonzero(exists)).cut(np.flatnonzero(active)).bounds)
 
 
 def table(full: dict[str, Any], culled: dict[str, Any], error: dict[str, dict[str, float]]) -> str:
