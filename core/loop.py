@@ -24,6 +24,7 @@ from .feedback import Feedback, Weights
 from .film import LUMINANCE, Picture
 from .hitboxes import Hitboxes
 from .path_log import PathLog
+from .placing import LARGEST
 from .progress import Progress, silent
 from .regions import Cut, Regions
 from .scene import F32, I32, I64, U8, RayType, Scene
