@@ -135,7 +135,7 @@ class Loop:
         self.blas.work = Work()
         self.blas.advance(scene.meshes, change.deformed, change.replaced)
         if not change.still:
-            self.regions.forget()
+            self.regions.pass_frame()
         if change.previous is None:
             self._move(change.moved)
         else:

@@ -4,7 +4,8 @@ The tree is implicit: instances in extended Morton order, nodes of level l are r
 level are reductions over the level below. The cut holds, for every culled instance, exactly one node that contains it and nothing active.
 
 Over frames the tree stays: boxes follow what moves, and the order is made anew where it has decayed. A region that paths ask for is split; one whose parts they
-do not ask for any more is closed again. A region that is asked for at once after that will not be closed again for a while: so none opens and closes forever.
+do not ask for any more is closed again. One that is asked for soon after that stays open for a while, twice as long each time, so that none opens and closes
+forever.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from .view import View
 
 FANOUT = 8
 QUIET = 4  # crossings of all parts of a region below which it is closed
-MEMORY = 32  # changed frames, about, until it is forgotten that a region was closed in vain
+SOON = 4  # changed frames after closing a region within which it was closed in vain if paths ask for it
+STAY = 16  # changed frames that it then stays open, at first
+_LONGEST = 6  # doublings of STAY at most
 DECAYED = 2.0  # growth of the regions' surface at which the order is made anew
 _MORTON_BITS = 16
 _SIZE_CLASSES = 8  # an instance is at most a quarter as large as one of the class before it
@@ -89,11 +92,14 @@ class Regions:
         while len(self._bounds[-1]) > FANOUT:
             self._bounds.append(_enclosing(self._bounds[-1]))
             self._extent.append(np.maximum.reduceat(self._extent[-1], np.arange(0, len(self._extent[-1]), FANOUT)))
-        self.split, self._closed, self._lasting = ([np.zeros(len(level), bool) for level in self._bounds] for _ in range(3))
+        self.split = [np.zeros(len(level), bool) for level in self._bounds]
+        # By level, of each node: frame of its last closing, frame until which it stays open, and how often it was closed in vain.
+        self._closed, self._stays = ([np.zeros(len(level), np.int32) for level in self._bounds] for _ in range(2))
+        self._vain = [np.zeros(len(level), np.uint8) for level in self._bounds]
         self._now: F32 | None = None  # boxes of the last frame, where some have moved; _bounds[0] spans the motion
         self._moving = np.zeros(0, np.int64)  # places that moved in the last frame
         self._surface = self._region_surface()
-        self._frame = 0
+        self._frame = SOON  # changed frames so far
 
     @property
     def levels(self) -> int:
@@ -142,17 +148,18 @@ class Regions:
         rows = new.order if previous is None else previous[new.order]
         old = np.where(rows >= 0, self.place[rows], -1)
         known, old = np.flatnonzero(old >= 0), old[old >= 0]
-        for mine, theirs in ((self.split, new.split), (self._closed, new._closed), (self._lasting, new._lasting)):
+        for mine, theirs in ((self.split, new.split), (self._closed, new._closed), (self._stays, new._stays), (self._vain, new._vain)):
             for level in range(min(self.levels, new.levels)):
-                theirs[level][known[mine[level][old // FANOUT**level]] // FANOUT**level] = True
+                run = FANOUT**level
+                values = mine[level][old // run]
+                told = np.flatnonzero(values)
+                theirs[level][known[told] // run] = values[told]
         new._frame = self._frame
         return new
 
-    def forget(self) -> None:
-        """The picture has changed: part of what was learned in vain may be tried again."""
+    def pass_frame(self) -> None:
+        """The picture has changed: time passes for what is remembered."""
         self._frame += 1
-        for flags in (*self._closed, *self._lasting):
-            flags[self._frame % MEMORY :: MEMORY] = False
 
     def _occupied(self, active: np.ndarray) -> list[np.ndarray]:
         """Nodes with something active (instances) in them, by level, each an ascending array."""
@@ -205,33 +212,41 @@ class Regions:
             open_below[occupied[level]] = True
             here = cut.level == level
             sums[cut.index[here]] = crossings[here]
-            closed = self.split[level] & ~open_below & ~self._lasting[level] & (sums < QUIET)
+            closed = self.split[level] & ~open_below & (self._stays[level] <= self._frame) & (sums < QUIET)
             self.split[level] &= ~closed
-            self._closed[level] |= closed
+            self._closed[level][closed] = self._frame
             open_below |= self.split[level]
 
     def split_nodes(self, cut: Cut, rows: np.ndarray, wanted: np.ndarray) -> None:
-        """Open nodes of a cut (rows into it) deep enough for wanted (one per row) boxes to stand in for each; single instances are passed over."""
+        """Open nodes of a cut (rows into it) deep enough for wanted (one per row) boxes to stand in for each; single instances are passed over.
+
+        Those that were closed just now are opened by one level only: paths do not want what they did not want before.
+        """
         depth = np.log2(np.maximum(wanted, 1)) / np.log2(FANOUT)
         for level in range(1, self.levels):
             chosen = cut.level[rows] == level
             nodes, below = cut.index[rows[chosen]], depth[chosen]
+            below[self._in_vain(level, nodes)] = 0
             for deeper in range(level, 0, -1):
-                self._open(deeper, nodes)
+                self.split[deeper][nodes] = True
                 more = below > level - deeper + 1
                 nodes = (nodes[more, None] * FANOUT + np.arange(FANOUT)).ravel()
                 below = np.repeat(below[more], FANOUT)
                 inside = nodes < len(self.split[deeper - 1])
                 nodes, below = nodes[inside], below[inside]
 
-    def _open(self, level: int, nodes: np.ndarray) -> None:
-        self.split[level][nodes] = True
-        self._lasting[level][nodes] |= self._closed[level][nodes]
+    def _in_vain(self, level: int, nodes: np.ndarray) -> np.ndarray:
+        """Which nodes that paths ask for were closed just now, (K,) bool: those are to stay open for a while."""
+        vain = self._closed[level][nodes] > self._frame - SOON
+        again = nodes[vain]
+        self._stays[level][again] = self._frame + (STAY << self._vain[level][again].astype(np.int32))
+        self._vain[level][again] = np.minimum(self._vain[level][again] + 1, _LONGEST)
+        return vain
 
     def instances_of(self, cut: Cut, rows: np.ndarray) -> I32:
-        """Instances of those rows of a cut that are single instances; they are taken to be opened."""
+        """Instances of those rows of a cut that are single instances, to be activated."""
         places = cut.index[rows[cut.level[rows] == 0]]
-        self._open(0, places)
+        self._in_vain(0, places)
         return self.order[places]
 
     def in_view(self, view: View, share: float) -> I32:
@@ -245,10 +260,10 @@ class Regions:
         return self.order[nodes]
 
     def release(self, instances: np.ndarray) -> np.ndarray:
-        """Of active instances (indices) that no path met: those to be culled, for the others were culled and asked for again before."""
+        """Of active instances (indices) that no path met: those to be culled. The others were culled not long ago, and asked for again."""
         places = self.place[instances]
-        free = ~self._lasting[0][places]
-        self._closed[0][places[free]] = True
+        free = self._stays[0][places] <= self._frame
+        self._closed[0][places[free]] = self._frame
         return instances[free]
 
 
