@@ -44,7 +44,7 @@ def test_area_light_takes_the_scale() -> None:
     np.testing.assert_allclose(r["power"], [20, 10, 5], rtol=1e-6)
     np.testing.assert_allclose(r["axis_z"], [1, 0, 0], atol=1e-6)
     assert r["spread"] == 1.0
-    np.testing.assert_allclose(r["position"] + np.round(bpy.context.scene.camera.matrix_world.translation), [1, 2, 3], atol=1e-5)
+    np.testing.assert_allclose(r["position"] + extract_frame(bpy.context.scene).scene.origin, [1, 2, 3], atol=1e-5)
 
 
 def test_temperature_nodes_and_visibility() -> None:
