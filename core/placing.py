@@ -83,8 +83,8 @@ _COARSEST = 2.0**10  # coordinates over distance from the camera: float32 rounds
 def scene_origin(camera: Camera) -> F64:
     """Where the coordinates of a scene should begin, (3,) float64: near the camera, on a grid as coarse as what it sees nearest allows.
 
-    On a grid, so that coordinates of few digits stay exact and neighbours stay flush, and so that a camera that moves a little moves nothing else: in an animation
-    what stands still keeps its numbers. The grid depends on the one frame alone.
+    On a grid, so that coordinates of few digits stay exact and neighbours stay flush, and so that a camera that moves a little moves nothing else: in an
+    animation what stands still keeps its numbers. The grid depends on the one frame alone.
     """
     cell = 2.0 ** np.floor(np.log2(max(local_reach(camera), 1e-30)))
     return np.asarray(np.round(camera.to_world[:, 3] / cell) * cell, np.float64)
