@@ -23,13 +23,16 @@ from .extract.depsgraph import changed
 from .pictures import save_pixels, save_render_result
 
 BLENDER_ENGINES = {"cycles": "CYCLES", "eevee": "BLENDER_EEVEE"}
-ENGINES = (*BLENDER_ENGINES, "path")
+ENGINES = (*BLENDER_ENGINES, "hybrid", "path")
+HYBRID_SAMPLES = 64  # at most, where nobody says: the rest is the denoiser's
 _SAMPLE = re.compile(r"(\d+)\s*/\s*(\d+)")
 
 
 def samples_of(scene: bpy.types.Scene, engine: str) -> int:
     """Samples per pixel that the scene asks of an engine of `ENGINES`."""
-    return scene.eevee.taa_render_samples if engine == "eevee" else scene.cycles.samples
+    if engine == "eevee":
+        return int(scene.eevee.taa_render_samples)
+    return min(scene.cycles.samples, HYBRID_SAMPLES) if engine == "hybrid" else int(scene.cycles.samples)
 
 
 def render_blender(engine: str, stem: Path, samples: int | None = None, seed: int = 0, threads: int = 0, progress: Progress = silent) -> float:

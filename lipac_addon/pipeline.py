@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,9 @@ from ..core.report import Report, save_states
 from ..core.scene import RAY_TYPES
 from . import writeback
 from .console import muted
-from .engines import BLENDER_ENGINES, render_blender, render_path
+from .engines import BLENDER_ENGINES, render_blender, render_path, samples_of
 from .extract import Extraction, extract_frame
+from .hybrid import HybridOptions, render_hybrid
 from .keys import Keys
 
 if TYPE_CHECKING:
@@ -42,7 +43,10 @@ def check(cancelled: Callable[[], bool]) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """What to do with the open file. engine: one of `engines.ENGINES`, or "" to analyse only; samples: None as in the scene; threads: 0 for all."""
+    """What to do with the open file. engine: one of `engines.ENGINES`, or "" to analyse only; samples: None as in the scene; threads: 0 for all.
+
+    hybrid: for the engine of that name.
+    """
 
     folder: Path
     frames: tuple[int, ...]
@@ -51,6 +55,7 @@ class Job:
     samples: int | None = None
     seed: int = 0
     threads: int = 0
+    hybrid: HybridOptions = field(default_factory=HybridOptions)
 
 
 def run(job: Job, report: Report, progress: Progress = silent, cancelled: Callable[[], bool] = never) -> None:
@@ -77,7 +82,12 @@ def run_frame(job: Job, frame: int, report: Report, progress: Progress = silent,
     extraction, entry = sync(frame)
     check(cancelled)
     approximated, warnings = extraction.scene.approximated, extraction.warnings
-    if job.options.policy == "none" and job.engine in BLENDER_ENGINES:  # as Blender would render it: nothing to analyse
+    if job.engine == "hybrid":
+        samples = job.samples or samples_of(bpy.context.scene, job.engine)
+        result, figures = render_hybrid(extraction.scene, job.hybrid, job.options, stem, samples, job.seed, job.threads, progress, cancelled)
+        entry |= result.stats | figures
+        save_states(states, result.state, result.score, result.hits, extraction.keys.records, extraction.keys.names)
+    elif job.options.policy == "none" and job.engine in BLENDER_ENGINES:  # as Blender would render it: nothing to analyse
         entry |= keep_all(extraction, states)
         del extraction
     else:

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..core.budget import Budget
 from ..core.culling import POLICIES, CullOptions
@@ -142,8 +142,8 @@ def check(args: argparse.Namespace) -> None:
     output_folder(args.output)
 
 
-def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = None) -> Report:
-    """What `analyze` and `render` share: check, open, work through the frames, and print the table."""
+def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = None, hybrid: dict[str, Any] | None = None) -> Report:
+    """What `analyze` and `render` share: check, open, work through the frames, and print the table. hybrid: fields of `HybridOptions`."""
     check(args)
     from ..lipac_addon.console import muted
 
@@ -151,6 +151,7 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
         import bpy
 
     from ..core.report import Report
+    from ..lipac_addon.hybrid import HybridOptions
     from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
     from ..lipac_addon.pipeline import Job, run
 
@@ -176,7 +177,8 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
             threads=args.threads or os.cpu_count() or 1,
         )
         report.note(report.warnings, missing_libraries())
-        job = Job(args.output, args.frames or (scene.frame_current,), cull_options(args), engine, samples, args.seed, args.threads)
+        frames, mixed = args.frames or (scene.frame_current,), HybridOptions(**(hybrid or {}))
+        job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, mixed)
         run(job, report, progress, cancelled)
     print(report.table())
     for line in report.warnings:

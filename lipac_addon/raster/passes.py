@@ -39,9 +39,11 @@ _EEVEE = {
 class Passes:
     """What EEVEE says of a picture, (H, W, 3) float32 each (shadow: (H, W)), linear, rows bottom up, filtered over its samples.
 
-    diffuse, glossy: light of lamps that arrives and is scattered, their colours not applied. shadow: share of the lamps' light that its shadow maps let arrive.
+    combined: (H, W, 4), EEVEE's own picture of the light that it was asked for. diffuse, glossy: light of lamps that arrives and is scattered, their colours
+    not applied. shadow: share of the lamps' light that its shadow maps let arrive.
     """
 
+    combined: F32
     diffuse: F32
     diffuse_color: F32
     glossy: F32
@@ -63,12 +65,14 @@ class Passes:
         return np.minimum(np.where(self.environment.any(axis=2, keepdims=True) & ~total.any(axis=2, keepdims=True), np.float32(1), total), np.float32(1))
 
 
-def render_passes(scene: bpy.types.Scene, samples: int = 8) -> Passes:
+def render_passes(scene: bpy.types.Scene, samples: int = 8, lamps_only: bool = True) -> Passes:
     """Render the current frame of the open file by EEVEE, everything in it, and return its passes; the scene's settings are put back.
+
+    lamps_only: no other light falls on surfaces, for others bring it; else all that EEVEE makes of the scene's settings.
 
     Raises InputError where it cannot be rendered. OpenGL must be there (`opengl.require`).
     """
-    with tempfile.TemporaryDirectory(prefix="lipac-") as folder, _settings(scene, samples, Path(folder) / "passes.exr"), no_new_images():
+    with tempfile.TemporaryDirectory(prefix="lipac-") as folder, _settings(scene, samples, lamps_only, Path(folder) / "passes.exr"), no_new_images():
         try:
             with muted():
                 bpy.ops.render.render(write_still=True, scene=scene.name)
@@ -78,15 +82,15 @@ def render_passes(scene: bpy.types.Scene, samples: int = 8) -> Passes:
 
 
 @contextmanager
-def _settings(scene: bpy.types.Scene, samples: int, path: Path) -> Iterator[None]:
+def _settings(scene: bpy.types.Scene, samples: int, lamps_only: bool, path: Path) -> Iterator[None]:
     layer = next((v for v in scene.view_layers if v.use), scene.view_layers[0])
     with ExitStack() as stack:
         set_ = lambda target, **values: stack.enter_context(changed(target, **_known(target, values)))  # noqa: E731
         plain = {"use_border": False, "use_sequencer": False, "use_compositing": False, "use_multiview": False, "use_persistent_data": False}
         set_(scene.render, engine="BLENDER_EEVEE", filepath=str(path), use_file_extension=True, **plain)
         set_(scene.render.image_settings, **_FILE)
-        set_(scene.eevee, taa_render_samples=samples, **_EEVEE)
-        if scene.world is not None:
+        set_(scene.eevee, taa_render_samples=samples, **(_EEVEE if lamps_only else {}))
+        if scene.world is not None and lamps_only:
             set_(scene.world, sun_threshold=0.0)
         for other in scene.view_layers:
             set_(other, use=other == layer)
@@ -110,6 +114,7 @@ def _read(path: Path) -> Passes:
         return np.ascontiguousarray(np.stack([channels[f"{name}.{letter}"] for letter in letters], axis=2)[::-1], np.float32)
 
     return Passes(
+        combined=color("Combined", "RGBA"),
         diffuse=color("Diffuse Direct"),
         diffuse_color=color("Diffuse Color"),
         glossy=color("Glossy Direct"),
