@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 
 from .analysis import decide
+from .blas import BlasCache, Work
 from .change import Change
 from .culling import CullOptions
 from .embree import Device
@@ -25,12 +27,16 @@ class Shot:
     Frames need not be consecutive; without a `Change` (the first frame, another file, a jump) a frame is a fresh start. What is not in the scene any more, and
     what paths do not ask for, is freed; geometry is read from `Scene.meshes` only where it is needed, on the calling thread.
 
+    Independent frames: each decides as a fresh start of it, bit for bit, whatever frames came before, so that a range can be split, repeated and completed.
+    What was built for the frame before and did not change is not built again; but what deformed is built anew, for a refitted BLAS is another one.
+
     loop: the loop of the last frame, None before the first.
     """
 
-    def __init__(self, options: CullOptions, device: Device | None = None) -> None:
-        """device: Embree's, shared by default."""
+    def __init__(self, options: CullOptions, device: Device | None = None, independent: bool = False) -> None:
+        """device: Embree's, shared by default. independent: frames decide by themselves."""
         self.options = options
+        self.independent = independent
         self.device = device
         self.loop: Loop | None = None
 
@@ -53,8 +59,20 @@ class Shot:
         loop, self.loop = self.loop, None
         if loop is None or change is None:
             loop = Loop(scene, self.options, cancelled, self.device, pinned)
+        elif self.independent:
+            blas = self._carried(loop.blas, scene, change)
+            loop = Loop(scene, self.options, cancelled, self.device, pinned)
+            loop.blas, loop.prepared = blas, dataclasses.replace(loop.prepared, blas=blas)
         else:
             loop.advance(scene, change, cancelled, pinned)
         result = decide(loop, progress)
         self.loop = loop
         return result
+
+    def _carried(self, blas: BlasCache, scene: Scene, change: Change) -> BlasCache:
+        """What is built and did not change, for a frame that is to decide by itself. Within a budget nothing: what fits depends on what was built before."""
+        if self.options.blas_budget_bytes or self.options.blas_budget_ms:
+            return BlasCache(scene.meshes, blas.device)
+        blas.work = Work()
+        blas.advance(scene.meshes, np.zeros(0, np.int32), np.union1d(change.deformed, change.replaced))
+        return blas

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -133,8 +132,7 @@ class MeshTable:
         if loaded is None or not loaded.held:
             return False
         mesh = load(source, self._uv_maps)
-        now = Loaded.of(mesh)
-        source.loaded = replace(now, triangles=loaded.triangles)  # held as long as what somebody made of the mesh before
+        now = source.loaded = Loaded.of(mesh, loaded)
         if (now.topology, now.shape) == (loaded.topology, loaded.shape):
             return None
         source.ready = mesh

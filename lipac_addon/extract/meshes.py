@@ -47,21 +47,22 @@ class MeshSource:
 
 @dataclass(frozen=True)
 class Loaded:
-    """A mesh that was read: a reference to its triangles that keeps nothing alive, and digests (SHA-256) of triangles with slots, and of all else."""
+    """A mesh that was read: references to its triangles that keep nothing alive, and digests (SHA-256) of triangles with slots, and of all else."""
 
-    triangles: weakref.ref[NDArray[Any]]
+    triangles: tuple[weakref.ref[NDArray[Any]], ...]
     topology: bytes
     shape: bytes
 
     @staticmethod
-    def of(mesh: Mesh) -> Loaded:
-        """The record of a mesh."""
-        return Loaded(weakref.ref(mesh.triangles), _digest(mesh.triangles, mesh.slots), _digest(mesh.positions, mesh.normals, mesh.uvs))
+    def of(mesh: Mesh, before: Loaded | None = None) -> Loaded:
+        """The record of a mesh. before: of what it was; who holds that follows its changes."""
+        held = () if before is None else tuple(ref for ref in before.triangles if ref() is not None)
+        return Loaded((*held, weakref.ref(mesh.triangles)), _digest(mesh.triangles, mesh.slots), _digest(mesh.positions, mesh.normals, mesh.uvs))
 
     @property
     def held(self) -> bool:
-        """Whether somebody still has the mesh."""
-        return self.triangles() is not None
+        """Whether somebody still has the mesh, or what it was."""
+        return any(ref() is not None for ref in self.triangles)
 
 
 def _digest(*arrays: NDArray[Any] | None) -> bytes:
@@ -172,5 +173,5 @@ class LazyMeshes(Sequence[Mesh]):
         if source is None:
             return EMPTY
         mesh, source.ready = source.ready or load(source, self.uv_maps), None
-        source.loaded = Loaded.of(mesh)
+        source.loaded = Loaded.of(mesh, source.loaded)
         return mesh
