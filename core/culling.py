@@ -10,8 +10,13 @@ import numpy as np
 
 from .budget import Budget
 from .errors import InputError
+from .feedback import TILES
 from .scene import F32, F64, Camera, Instances, Scene
 
+# Something that a coarse tile's paths do not meet may be worth some of them, each as bright as what stands behind it: so many paths, over the tile's bound.
+TILE_PATHS = 100
+COUNTED_PATHS = 4  # per pixel, by counts
+MOST_PATHS = 64  # per pixel
 BLOCK = 1 << 17  # instances at a time: temporaries stay small at a million
 
 
@@ -34,9 +39,10 @@ class CullOptions:
     policy: one of POLICIES. margin: `frustum`, share of the picture (Cycles' default). distance: metres from the camera; for `distance`.
     solid_angle: degrees that an instance's bounding sphere must span; for `solid-angle`.
     max_error: `light-paths`: how much the picture may change. min_share: `light-paths` by plain counts instead: an instance stays if at least this share of the
-    paths meets it. paths: per pixel, for the measurement of both.
+    paths meets it. paths: per pixel, for the measurement of both; 0: as many as the bounds need.
     width: of the analysis picture in pixels (its height follows the film). nearest: boxes of a ray that are counted at a cold start;
-    hitbox_every: on one path in so many.
+    hitbox_every: on one path in so many. settled: segments per path that may still ask for a box when the rounds of a frame end, 0: none;
+    max_iterations: rounds of a frame at most.
 
     Over the frames of a shot: hysteresis: how many times less than what is newly kept an instance must be worth to be culled again, 1 for none; mitigation:
     large instances that come into view are active at once. blas_budget_ms: milliseconds of BLAS building per frame, the rest is done in later frames;
@@ -49,10 +55,11 @@ class CullOptions:
     solid_angle: float = 1.0
     max_error: Budget = DEFAULT_BUDGET
     min_share: float | None = None
-    paths: int = 4
+    paths: int = 0
     width: int = 240
     nearest: int = 4
     hitbox_every: int = 1
+    settled: float = 0.02
     max_iterations: int = 64
     hysteresis: float = 2.0
     mitigation: bool = True
@@ -60,6 +67,12 @@ class CullOptions:
     blas_budget_bytes: int = 0
     seed: int = 0
     threads: int = 0
+
+    def paths_per_pixel(self, pixels: int) -> int:
+        """Paths per pixel of a measurement of so many pixels."""
+        if self.paths or self.min_share is not None or self.policy != "light-paths":
+            return self.paths or COUNTED_PATHS
+        return int(np.clip(np.ceil(TILE_PATHS * TILES / (max(self.max_error.worst, 1e-3) * pixels)), 1, MOST_PATHS))
 
     def __post_init__(self) -> None:
         if self.policy not in POLICIES:

@@ -33,7 +33,8 @@ from .tracer import Prepared, advanced, prepare, trace
 from .view import View
 
 COLD_HITS = 4  # segments of one round that must cross a box before it is opened: fewer is chance
-SETTLED = 0.02  # segments per path that still ask for a box when the cold start ends
+SETTLED = 0.02  # segments per path that still ask for a box when coarse rounds end
+UNKNOWN = 0.2  # segments per path that ask for a box where coarse rounds are worth while
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
 LARGE = 0.05  # of the picture's width: what comes into view this large is activated before it is asked for
 
@@ -357,7 +358,7 @@ class Loop:
         return picture
 
     def run(self, progress: Progress = silent) -> None:
-        """Rounds until no box is asked for any more, the last of which leaves `measured`. Where nothing is known yet coarse ones, of few paths, come first."""
+        """Rounds until no box is asked for any more, the last of which leaves `measured`. Where much is unknown coarse ones, of few paths, come first."""
         self._notice()
         coarse_size = (max(self.size[0] // 2, 1), max(self.size[1] // 2, 1))
         coarse = self.cold
@@ -376,11 +377,13 @@ class Loop:
                 samples = max(1, round(ROUND_PATHS / (coarse_size[0] * coarse_size[1])))
                 feedback, picture = self.trace(tlas, samples, boxes, size=coarse_size)
                 self.ambient = _mean_luminance(picture)
-                coarse = self._ask(cut, feedback) >= SETTLED
+                coarse = self._ask(cut, feedback) > max(self.options.settled, SETTLED)
             else:
                 self.measured = self.measure(tlas, boxes)
-                if self._ask(cut, self.measured.feedback) < SETTLED:
+                asked = self._ask(cut, self.measured.feedback)
+                if asked <= self.options.settled:
                     return
+                coarse = asked >= UNKNOWN
 
     def _notice(self) -> None:
         """Activate large instances that have come into view since the last frame: the first frame with them is to show them (latency mitigation)."""
