@@ -5,10 +5,12 @@ All files are written under another name and put in place at once, so whoever re
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,10 +19,11 @@ import numpy as np
 
 from .errors import InputError
 from .progress import clock
-from .scene import F32, I64, U8, Records
+from .scene import F32, I32, I64, U8, Records
 from .usage import peak_memory
 
 SCHEMA = 1
+HEADER = ("scene", "blender", "lipac", "policy", "engine", "seed")
 SECONDS = ("sync_s", "build_s", "trace_s", "feedback_s", "writeback_s", "render_s")
 SUMS = (*SECONDS, "blas_built", "paths", "rays", "iterations")
 LARGEST = ("blas_bytes", "tlas_bytes")
@@ -39,6 +42,38 @@ def replacing(path: Path) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """A block that no other process is in for the same folder."""
+    if os.name == "nt":
+        import msvcrt
+
+        name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
+        with (Path(tempfile.gettempdir()) / f"lipac-{name}.lock").open("a+") as file:
+            msvcrt.locking(file.fileno(), msvcrt.LK_LOCK, 1)  # type: ignore[attr-defined]
+            yield
+        return
+    import fcntl
+
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # file systems without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _found(folder: Path) -> dict[str, Any] | None:
+    """The report in a folder, None where there is none of this schema."""
+    try:
+        data = json.loads((folder / "report.json").read_text())
+    except (OSError, ValueError):
+        return None
+    whole = isinstance(data, dict) and data.get("schema") == SCHEMA and {*HEADER, "frames", "totals", "approximated", "warnings", "options"} <= data.keys()
+    return data if whole else None
+
+
 def output_folder(path: Path) -> Path:
     """The folder, created where it is missing. Raises InputError where nothing can be written into it."""
     try:
@@ -55,8 +90,12 @@ def output_folder(path: Path) -> Path:
 class Report:
     """report.json of one command.
 
-    Header fields as in the file. frames: one dict per finished frame, with `FIELDS` and where measured `error`; missing fields count as 0.
-    approximated: what the engine renders differently from Blender; warnings: other lines for the user. Both without repetitions, in order of appearance.
+    Header fields as in the file; options: whatever else the results depend on, by name, plain values. frames: one dict per frame that this command finished,
+    with `FIELDS` and where measured `error`; missing fields count as 0. approximated: what the engine renders differently from Blender; warnings: other lines
+    for the user. Both without repetitions, in order of appearance.
+
+    A folder may be filled by several commands, one after the other or at the same time: the file keeps the frames of all that had the same header, but for
+    the number of threads.
     """
 
     scene: str
@@ -66,6 +105,7 @@ class Report:
     engine: str
     seed: int
     threads: int
+    options: dict[str, Any] = field(default_factory=dict)
     frames: list[dict[str, Any]] = field(default_factory=list)
     approximated: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -85,28 +125,47 @@ class Report:
                 known.add(line)
                 lines.append(line)
 
-    def totals(self) -> dict[str, Any]:
-        """Sums over frames of seconds and of work done, the largest of bytes held, and the process's peak memory (0: unknown)."""
-        sums = {name: sum(f[name] for f in self.frames) for name in SUMS}
-        largest = {name: max((f[name] for f in self.frames), default=0) for name in LARGEST}
-        return {"frames": len(self.frames), **sums, **largest, "peak_bytes": peak_memory()}
+    def totals(self, frames: Sequence[dict[str, Any]] | None = None) -> dict[str, Any]:
+        """Sums over frames, by default this command's, of seconds and of work done, the largest of bytes held, and the process's peak memory (0: unknown)."""
+        frames = self.frames if frames is None else frames
+        sums = {name: sum(f[name] for f in frames) for name in SUMS}
+        largest = {name: max((f[name] for f in frames), default=0) for name in LARGEST}
+        return {"frames": len(frames), **sums, **largest, "peak_bytes": peak_memory()}
 
     def as_dict(self) -> dict[str, Any]:
-        """The contents of report.json."""
-        header = {name: getattr(self, name) for name in ("scene", "blender", "lipac", "policy", "engine", "seed", "threads")}
-        return {
-            "schema": SCHEMA,
-            **header,
-            "frames": self.frames,
-            "totals": self.totals(),
-            "approximated": self.approximated,
-            "warnings": self.warnings,
-        }
+        """The contents of report.json, of this command alone."""
+        header = {name: getattr(self, name) for name in (*HEADER, "threads")}
+        lines = {"approximated": self.approximated, "warnings": self.warnings}
+        return {"schema": SCHEMA, **header, "frames": self.frames, "totals": self.totals(), **lines, "options": self.options}
+
+    def other_options(self, folder: Path) -> list[str]:
+        """Names of what differs between this command and the report in a folder; empty where that is of the same kind, or where there is none."""
+        found = _found(folder)
+        return [] if found is None else self._differences(found)
+
+    def finished(self, folder: Path) -> set[int]:
+        """Numbers of the frames that the report in a folder has, where it is of the same kind."""
+        found = _found(folder)
+        return set() if found is None or self._differences(found) else {frame["frame"] for frame in found["frames"]}
 
     def write(self, folder: Path) -> None:
-        """Write folder/report.json."""
-        with replacing(folder / "report.json") as part:
-            part.write_text(json.dumps(self.as_dict(), indent=1, default=_number) + "\n")
+        """Write folder/report.json: the frames that it has already, where it is of the same kind, and this command's."""
+        with _alone(folder):
+            data, found = self.as_dict(), _found(folder)
+            if found is not None and not self._differences(found):
+                own = {frame["frame"] for frame in self.frames}
+                data["frames"] = sorted([*(f for f in found["frames"] if f["frame"] not in own), *self.frames], key=lambda f: int(f["frame"]))
+                totals = self.totals(data["frames"])
+                data["totals"] = totals | {"peak_bytes": max(totals["peak_bytes"], found["totals"]["peak_bytes"])}
+                for name in ("approximated", "warnings"):
+                    data[name] = list(dict.fromkeys([*found[name], *data[name]]))
+            with replacing(folder / "report.json") as part:
+                part.write_text(json.dumps(data, indent=1, default=_number) + "\n")
+
+    def _differences(self, found: dict[str, Any]) -> list[str]:
+        own = json.loads(json.dumps({name: getattr(self, name) for name in HEADER} | self.options, default=_number))
+        theirs = {name: found[name] for name in HEADER} | found["options"]
+        return sorted(name for name in own.keys() | theirs.keys() if own.get(name) != theirs.get(name))
 
     def table(self) -> str:
         """Frames and totals as text."""
@@ -126,26 +185,57 @@ class Report:
         return "\n".join([*_aligned([head, *rows]), last + peak])
 
 
-def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, names: Sequence[str]) -> None:
+@dataclass(frozen=True)
+class States:
+    """The states of a frame's instances, as `save_states` writes them. keys: kind (N,), host (N,), object (N,) and path (N, depth) by name."""
+
+    state: U8
+    score: F32
+    hits: I64
+    keys: dict[str, np.ndarray]
+    names: tuple[str, ...]
+    note: str = ""
+
+
+def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, names: Sequence[str], note: str = "") -> None:
     """Write the states of a frame (states/frame_0001.npz).
 
     state (N,), score (N,), hits (N, RAY_TYPES), as in `core.loop.CullingResult`; key_kind, key_host, key_object (N,) and key_path (N, depth) are the fields of
-    `lipac_addon.keys.KEY`, the path without the columns that no instance uses; names: strings that host and object index. Integers have the smallest type that
-    holds them. Not compressed: at a million instances that would take longer than the analysis.
+    `lipac_addon.keys.KEY`, the path without the columns that no instance uses; names: strings that host and object index, those that are used, sorted, so that
+    a frame's file is the same whatever other frames were looked at. Integers have the smallest type that holds them. note: a text to keep with it.
+    Not compressed: at a million instances that would take longer than the analysis.
     """
     depth = int((keys["path"] >= 0).any(axis=0).sum()) if len(keys) else 0
+    host, ob, used = _renamed(keys["host"], keys["object"], names)
+    arrays: dict[str, Any] = {
+        "state": state,
+        "score": score,
+        "hits": hits.astype(np.min_scalar_type(int(hits.max(initial=0)))),
+        "key_kind": keys["kind"],
+        "key_host": host,
+        "key_object": ob,
+        "key_path": np.ascontiguousarray(keys["path"][:, :depth]),
+        "names": np.array(used, dtype=np.str_) if used else np.zeros(0, "U1"),
+    }
     with replacing(path) as part:
-        np.savez(
-            part,
-            state=state,
-            score=score,
-            hits=hits.astype(np.min_scalar_type(int(hits.max(initial=0)))),
-            key_kind=keys["kind"],
-            key_host=keys["host"],
-            key_object=keys["object"],
-            key_path=np.ascontiguousarray(keys["path"][:, :depth]),
-            names=np.array(names, dtype=np.str_) if names else np.zeros(0, "U1"),
-        )
+        np.savez(part, **arrays, **({"note": np.array(note)} if note else {}))
+
+
+def load_states(path: Path) -> States:
+    """What `save_states` wrote. Raises OSError, ValueError or KeyError where it is not such a file."""
+    with np.load(path) as data:
+        keys = {name: data[f"key_{name}"] for name in ("kind", "host", "object", "path")}
+        note = str(data["note"]) if "note" in data.files else ""
+        return States(data["state"], data["score"], data["hits"], keys, tuple(data["names"].tolist()), note)
+
+
+def _renamed(host: I32, ob: I32, names: Sequence[str]) -> tuple[I32, I32, list[str]]:
+    """host and ob, (N,) indices into names (-1: none), as indices into the sorted list of those names that they use; and that list."""
+    count = np.bincount(host[host >= 0], minlength=len(names)) + np.bincount(ob[ob >= 0], minlength=len(names))
+    used = sorted(np.flatnonzero(count).tolist(), key=lambda n: names[n])
+    place = np.full(len(names) + 1, -1, np.int32)  # the last is that of -1
+    place[used] = np.arange(len(used))
+    return place[host], place[ob], [names[n] for n in used]
 
 
 def size(count: float) -> str:

@@ -1,12 +1,15 @@
 """report.json, states and the table."""
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lipac.core.errors import InputError
-from lipac.core.report import FIELDS, Report, output_folder, replacing, save_states, size
+from lipac.core.report import FIELDS, Report, load_states, output_folder, replacing, save_states, size
 from lipac.lipac_addon.keys import KEY, MAX_DEPTH
 
 
@@ -69,6 +72,65 @@ def test_states_come_back(tmp_path):
         for name in ("kind", "host", "object"):
             assert (found["key_" + name] == keys[name]).all()
         assert found["names"].tolist() == ["a", "lib\nb"]
+    back = load_states(tmp_path / "s.npz")
+    assert (back.state == state).all() and (back.hits == hits).all() and back.names == ("a", "lib\nb") and back.note == ""
+
+
+def test_states_do_not_depend_on_other_names(tmp_path):
+    """The same instances with names in another order, and more of them: the same bytes."""
+    keys = np.zeros(3, KEY)
+    keys["path"] = -1
+    nothing = np.zeros(3, np.uint8), np.zeros(3, np.float32), np.zeros((3, 5), np.int64)
+    keys["host"], keys["object"] = (-1, 1, 1), (0, 0, 2)
+    save_states(tmp_path / "a.npz", *nothing, keys, ("c", "b", "a"), note="x")
+    keys["host"], keys["object"] = (-1, 4, 4), (1, 1, 3)
+    save_states(tmp_path / "b.npz", *nothing, keys, ("z", "c", "y", "a", "b"), note="x")
+    a, b = (load_states(tmp_path / name) for name in ("a.npz", "b.npz"))
+    assert a.names == b.names == ("a", "b", "c")
+    assert all((a.keys[name] == b.keys[name]).all() for name in a.keys)
+    assert a.keys["host"].tolist() == [-1, 1, 1]
+    assert a.note == "x"
+
+
+def filled(folder, frames, **header):
+    r = Report("a.blend", "5.2", "0.1", "light-paths", "cycles", 0, header.pop("threads", 2), header or {"samples": 4})
+    for frame in frames:
+        r.add_frame({"frame": frame, "render_s": 1.0}, (f"a{frame}",))
+    r.write(folder)
+    return r, json.loads((folder / "report.json").read_text())
+
+
+def test_reports_of_parts_of_a_range_are_merged(tmp_path):
+    """Of the same options but for threads: the frames of both, the later ones where both have them; other options begin anew."""
+    filled(tmp_path, (5, 6))
+    r, data = filled(tmp_path, (1, 6), threads=8)
+    assert [f["frame"] for f in data["frames"]] == [1, 5, 6]
+    assert (data["totals"]["frames"], data["totals"]["render_s"], data["approximated"]) == (3, 3.0, ["a5", "a6", "a1"])
+    assert r.finished(tmp_path) == {1, 5, 6}
+    assert r.other_options(tmp_path) == []
+    assert len(r.frames) == 2
+    r, data = filled(tmp_path, (7,), samples=8)
+    assert [f["frame"] for f in data["frames"]] == [7]
+    other = Report("b.blend", "5.2", "0.1", "light-paths", "cycles", 0, 1, {"samples": 4})
+    assert other.other_options(tmp_path) == ["samples", "scene"]
+    assert other.finished(tmp_path) == set()
+
+
+def test_reports_by_processes_at_a_time(tmp_path):
+    """Ten writers at once lose no frame."""
+    code = "import sys; from tests.core.test_report import filled; from pathlib import Path; filled(Path(sys.argv[1]), (int(sys.argv[2]),))"
+    root = Path(__file__).parents[2]
+    processes = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path), str(k)], cwd=root) for k in range(4)]
+    assert [p.wait() for p in processes] == [0] * 4
+    assert report().finished(tmp_path) == set()
+    assert [f["frame"] for f in json.loads((tmp_path / "report.json").read_text())["frames"]] == list(range(4))
+
+
+def test_a_damaged_report_counts_as_none(tmp_path):
+    for text in ("", "[]", '{"schema": 1}', '{"schema": 1, "frames": ['):
+        (tmp_path / "report.json").write_text(text)
+        assert (report().finished(tmp_path), report().other_options(tmp_path)) == (set(), [])
+    assert filled(tmp_path, (1,))[1]["totals"]["frames"] == 1
 
 
 def test_unwritable_folder(tmp_path):
