@@ -280,13 +280,17 @@ def finite_share(lights):
 
 
 @njit(**OPTIONS)
-def triangle_points(meshes, table, instance, triangle):
-    """World-space corners of a triangle of an instance: 9 float32."""
+def triangle_edges(meshes, table, instance, triangle):
+    """World-space first corner of a triangle of an instance, and its edges to the second and the third: 9 float32.
+
+    The edges are transformed as differences: of world-space corners a small emitter far from the origin would have lost them.
+    """
     mesh = meshes + np.uint64(load_i32(table[1], instance)) * _MESH_SIZE
     m = table[T_TRANSFORM] + np.uint64(48) * np.uint64(instance)
     ax, ay, az = vertex(mesh, triangle, 0)
     bx, by, bz = vertex(mesh, triangle, 1)
     cx, cy, cz = vertex(mesh, triangle, 2)
+    ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
     m00, m01, m02, tx = load_f32(m, 0), load_f32(m, 1), load_f32(m, 2), load_f32(m, 3)
     m10, m11, m12, ty = load_f32(m, 4), load_f32(m, 5), load_f32(m, 6), load_f32(m, 7)
     m20, m21, m22, tz = load_f32(m, 8), load_f32(m, 9), load_f32(m, 10), load_f32(m, 11)
@@ -294,12 +298,12 @@ def triangle_points(meshes, table, instance, triangle):
         m00 * ax + m01 * ay + m02 * az + tx,
         m10 * ax + m11 * ay + m12 * az + ty,
         m20 * ax + m21 * ay + m22 * az + tz,
-        m00 * bx + m01 * by + m02 * bz + tx,
-        m10 * bx + m11 * by + m12 * bz + ty,
-        m20 * bx + m21 * by + m22 * bz + tz,
-        m00 * cx + m01 * cy + m02 * cz + tx,
-        m10 * cx + m11 * cy + m12 * cz + ty,
-        m20 * cx + m21 * cy + m22 * cz + tz,
+        m00 * ux + m01 * uy + m02 * uz,
+        m10 * ux + m11 * uy + m12 * uz,
+        m20 * ux + m21 * uy + m22 * uz,
+        m00 * vx + m01 * vy + m02 * vz,
+        m10 * vx + m11 * vy + m12 * vz,
+        m20 * vx + m21 * vy + m22 * vz,
     )
 
 
@@ -332,10 +336,8 @@ def sample_light(table, lights, lamps, nodes, children, px, py, pz, nx, ny, nz, 
             root = math.sqrt(u0)
             b1 = root * (_ONE - u1)
             b2 = root * u1
-            b0 = _ONE - b1 - b2
-            ax, ay, az, bx, by, bz, cx, cy, cz = triangle_points(lights[L_MESHES], table, instance, triangle)
-            dx, dy, dz, t = normalize(b0 * ax + b1 * bx + b2 * cx - px, b0 * ay + b1 * by + b2 * cy - py, b0 * az + b1 * bz + b2 * cz - pz)
-            ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+            ax, ay, az, ux, uy, uz, vx, vy, vz = triangle_edges(lights[L_MESHES], table, instance, triangle)
+            dx, dy, dz, t = normalize(ax - px + b1 * ux + b2 * vx, ay - py + b1 * uy + b2 * vy, az - pz + b1 * uz + b2 * vz)
             cos_area = abs((uy * vz - uz * vy) * dx + (uz * vx - ux * vz) * dy + (ux * vy - uy * vx) * dz) * _HALF
             if not (cos_area > _ZERO and t > _ZERO):
                 return NONE
@@ -422,8 +424,7 @@ def triangle_density(table, lights, nodes, children, instance, triangle, px, py,
     if np.int64(load_i32(lights[L_TRIANGLES], first + low)) != triangle:
         return _ZERO
     p = load_f32(lights[L_CDF], first + low + 1) - load_f32(lights[L_CDF], first + low)
-    ax, ay, az, bx, by, bz, cx, cy, cz = triangle_points(lights[L_MESHES], table, instance, triangle)
-    ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+    _, _, _, ux, uy, uz, vx, vy, vz = triangle_edges(lights[L_MESHES], table, instance, triangle)
     cos_area = abs((uy * vz - uz * vy) * dx + (uz * vx - ux * vz) * dy + (ux * vy - uy * vx) * dz) * _HALF
     if not cos_area > _ZERO:
         return _ZERO

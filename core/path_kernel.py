@@ -74,6 +74,7 @@ from .scene import RAY_TYPES, InstanceFlag, RayType, Shader
 from .shading import (
     M_MIS,
     M_SHADER,
+    S_ERROR,
     SURF,
     T_FLAGS,
     T_TRANSFORM,
@@ -138,7 +139,8 @@ _HOLDOUT = int(Shader.HOLDOUT)
 _ZERO, _ONE, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 3.0)
 # Exactly flat ground at 0 has no error to move by: a hit at distance 0 must not count.
 _NEAR = np.float32(1e-30)
-_SHORT = np.float32(1.0 - 1e-5)
+# What a ray from far away adds to the error at its end, per distance: 12 roundings to take its origin there, 5 of the distance to the plane, 4 of its length.
+_REACH = np.float32(24 * 2.0**-24)
 _DIMENSIONS = 4  # pairs of numbers per vertex
 _LENS, _FILTER = np.uint64(1 << 40), np.uint64((1 << 40) + 1)
 _INSTANCE_BYTES = np.uint64(48)
@@ -574,9 +576,10 @@ def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transp
         ox, oy, oz = shadow_origin(mesh, m, triangle, w.surf, w.frame, dx, dy, dz)
         far = FAR
         if kind == INSTANCE:
+            for c in range(3):
+                w.far_surf[S_ERROR + c] += _REACH * t
             ex, ey, ez = offset_origin(w.far_surf, w.far_frame, -dx, -dy, -dz)
             dx, dy, dz, far = normalize(ex - ox, ey - oy, ez - oz)
-            far *= _SHORT
         elif t < FAR:
             dx, dy, dz, far = normalize(px + t * dx - ox, py + t * dy - oy, pz + t * dz - oz)
         if not _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
