@@ -217,8 +217,10 @@ def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, nam
         "key_path": np.ascontiguousarray(keys["path"][:, :depth]),
         "names": np.array(used, dtype=np.str_) if used else np.zeros(0, "U1"),
     }
+    if note:
+        arrays["note"] = np.array(note)
     with replacing(path) as part:
-        np.savez(part, **arrays, **({"note": np.array(note)} if note else {}))
+        np.savez(part, **arrays)
 
 
 def load_states(path: Path) -> States:

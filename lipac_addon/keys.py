@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.scene import Records
 
@@ -38,3 +39,9 @@ class Keys:
 
     records: Records
     names: tuple[str, ...]
+
+
+def packed(records: Records) -> NDArray[np.void]:
+    """(N,) records of KEY as items that can be sorted and compared, of a fixed number of bytes."""
+    columns = np.column_stack([records["kind"].astype(np.int32), records["host"], records["object"], records["path"]])
+    return np.ascontiguousarray(columns, np.int32).view(f"V{4 * columns.shape[1]}").ravel()

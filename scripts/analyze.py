@@ -7,9 +7,18 @@ from collections.abc import Sequence
 
 def main(argv: Sequence[str]) -> int:
     """Write the states of each frame and report.json; returns the exit status."""
+    from pathlib import Path
+
+    from ..core.errors import InputError
     from .options import do_frames, scene_parser
 
-    do_frames(scene_parser("analyze", "Decide which instances of a scene light paths need: states per frame and report.json.").parse_args(argv))
+    parser = scene_parser("analyze", "Decide which instances of a scene light paths need: states per frame and report.json.")
+    saved = "with --bake shot: save a copy of the scene with the set baked in, which any Blender renders"
+    parser.add_argument("--save", type=Path, metavar="FILE.blend", help=saved)
+    args = parser.parse_args(argv)
+    if args.save is not None and args.bake != "shot":
+        raise InputError("--save bakes one set for all frames into a copy of the scene: it goes with --bake shot")
+    do_frames(args, save=args.save)
     return 0
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import hashlib
 import os
 import re
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -20,6 +23,7 @@ from ..core.progress import Progress, Terminal, silent
 
 if TYPE_CHECKING:
     from ..core.report import Report
+    from ..lipac_addon.pipeline import Job
 
 LAST_FRAME = 1048574  # Blender's own limit
 
@@ -47,6 +51,12 @@ def scene_parser(command: str, description: str) -> Parser:
     culling.add_argument("--solid-angle", type=number, metavar="DEG", help="solid-angle: keep what spans at least this angle")
     culling.add_argument("--distance", type=number, metavar="M", help="distance: keep what is nearer than this")
     culling.add_argument("--margin", type=number, metavar="S", help="frustum: widen the picture by this share of it")
+    shot = parser.add_argument_group("frames of a shot")
+    shot.add_argument("--bake", choices=("frame", "shot"), default="frame", help="frame: what each frame needs; shot: in all frames what any of them needs")
+    shot.add_argument("--resume", action="store_true", help="leave frames alone that DIR has already, by the same options")
+    shot.add_argument("--warm", action="store_true", help="begin each frame with what the one before it needed, and be slow to cull (hysteresis)")
+    shot.add_argument("--no-mitigation", action="store_true", help="with --warm: do not activate what comes into view before light paths ask for it")
+    shot.add_argument("--blas-budget", type=byte_count, metavar="SIZE", help="acceleration structures of meshes may take so much, for example 2G")
     general = parser.add_argument_group("general")
     general.add_argument("--seed", type=int, default=0, metavar="S", help="of all random numbers (default: 0)")
     general.add_argument("--threads", type=int, default=0, metavar="N", help="0: all cores (default)")
@@ -89,6 +99,15 @@ def count(text: str) -> int:
     return int(text)
 
 
+def byte_count(text: str) -> int:
+    """Bytes of '2G', '500M', '64k' or '1000000': powers of 1000, or of 1024 with an i, as in '2Gi'. Raises ArgumentTypeError."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?", text.strip().lower())
+    size = float(found[1]) * (1024 if found[3] else 1000) ** " kmgt".index(found[2] or " ") if found else 0.0
+    if not found or (found[3] and not found[2]) or not 1 <= size < 2**63:
+        raise argparse.ArgumentTypeError(f"'{text}' is no size: give a number of bytes, or one with k, M or G, for example 500M or 2G")
+    return int(size)
+
+
 @contextmanager
 def progress_of(quiet: bool) -> Iterator[Progress]:
     """Progress on stderr: on a copy of it, which stays ours while Blender's chatter is muted."""
@@ -99,11 +118,15 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
         yield terminal
 
 
+PATIENCE = 0.7  # seconds that work may take to notice Ctrl-C
+
+
 @contextmanager
 def ctrl_c() -> Iterator[Callable[[], bool]]:
     """A function that tells whether Ctrl-C was pressed within the block, for work to poll: an exception in the midst of Blender's would not come through.
 
-    A second Ctrl-C ends the process at once.
+    Where the work does not end soon (Blender evaluates a scene, a large structure is built), the process ends as it is: whatever it leaves on disk is whole.
+    A second Ctrl-C ends it at once.
     """
     pressed = threading.Event()
 
@@ -115,16 +138,47 @@ def ctrl_c() -> Iterator[Callable[[], bool]]:
         yield pressed.is_set
         return
     old = signal.signal(signal.SIGINT, note)
+    with _impatient():
+        try:
+            yield pressed.is_set
+        finally:
+            signal.signal(signal.SIGINT, old)
+
+
+@contextmanager
+def _impatient() -> Iterator[None]:
+    """Ends the process where Ctrl-C has no effect for a while. Python's handlers wait for the main thread; a thread of its own learns of signals at once."""
+    here, there = socket.socketpair()
+    there.setblocking(False)
+    done = threading.Event()
+    stderr = os.dup(2)  # what is written while Blender's chatter is muted
+
+    def watch() -> None:
+        while number := here.recv(1):
+            if number[0] == signal.SIGINT and not done.wait(PATIENCE):
+                os.write(stderr, b"lipac: stopped; finished frames and their report are kept\n")
+                os._exit(130)
+
+    thread = threading.Thread(target=watch, name="Ctrl-C", daemon=True)
+    thread.start()
+    old = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
     try:
-        yield pressed.is_set
+        yield
     finally:
-        signal.signal(signal.SIGINT, old)
+        done.set()
+        signal.set_wakeup_fd(old)
+        there.close()
+        thread.join()
+        here.close()
+        os.close(stderr)
 
 
 def cull_options(args: argparse.Namespace) -> CullOptions:
     """The culling options of a command line; what it does not say has the defaults of `core`."""
     given = {name: getattr(args, name) for name in ("max_error", "min_share", "paths", "solid_angle", "distance", "margin")}
-    return CullOptions(policy=args.cull, seed=args.seed, threads=args.threads, **{name: value for name, value in given.items() if value is not None})
+    given["blas_budget_bytes"] = args.blas_budget
+    said = {name: value for name, value in given.items() if value is not None}
+    return CullOptions(policy=args.cull, seed=args.seed, threads=args.threads, mitigation=not args.no_mitigation, **said)
 
 
 def check(args: argparse.Namespace) -> None:
@@ -137,20 +191,24 @@ def check(args: argparse.Namespace) -> None:
         raise InputError(f"--threads {args.threads}: give a number from 1 to 1024, or 0 for all cores")
     if not 0 <= args.seed < 2**31:
         raise InputError(f"--seed {args.seed}: give a number from 0 to {2**31 - 1}")
+    if args.no_mitigation and not args.warm:
+        raise InputError("--no-mitigation has a meaning with --warm alone: frames that decide by themselves have nothing that comes into view")
     if args.scene is not None and not args.scene.exists():
         raise InputError(f"no such file: {args.scene}")
     output_folder(args.output)
 
 
-def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = None, hybrid: dict[str, Any] | None = None) -> Report:
-    """What `analyze` and `render` share: check, open, work through the frames, and print the table. hybrid: fields of `HybridOptions`."""
+def do_frames(
+    args: argparse.Namespace, engine: str = "", samples: int | None = None, hybrid: dict[str, Any] | None = None, save: Path | None = None
+) -> Report:
+    """What `analyze` and `render` share: check, open, work through the frames, and print the table. hybrid: fields of `HybridOptions`; save: as in `Job`."""
     check(args)
     from ..lipac_addon.console import muted
 
     with muted():
         import bpy
 
-    from ..core.report import Report
+    from ..lipac_addon.baked import check_target
     from ..lipac_addon.hybrid import HybridOptions
     from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
     from ..lipac_addon.pipeline import Job, run
@@ -159,6 +217,8 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
         progress(0.0, "opening the scene")
         if args.scene is not None:
             open_scene(args.scene)
+        if save is not None:
+            check_target(save)
         scene = bpy.context.scene
         if args.resolution:
             scene.render.resolution_x, scene.render.resolution_y = args.resolution
@@ -167,23 +227,46 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
             use_camera(scene, args.camera)
         if scene.camera is None:
             raise InputError(f"scene '{scene.name}' has no camera: add one and make it active, or use --camera {AUTO} to frame everything")
-        report = Report(
-            scene=str(args.scene or bpy.data.filepath),
-            blender=bpy.app.version_string,
-            lipac=own_version(),
-            policy=args.cull,
-            engine=engine,
-            seed=args.seed,
-            threads=args.threads or os.cpu_count() or 1,
-        )
-        report.note(report.warnings, missing_libraries())
         frames, mixed = args.frames or (scene.frame_current,), HybridOptions(**(hybrid or {}))
-        job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, mixed)
+        more = (mixed, args.bake, save, args.resume, args.warm)
+        job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more)
+        report = new_report(args, job)
+        if args.resume and (others := report.other_options(args.output)):
+            what = ", ".join(others)
+            raise InputError(f"--resume: {args.output} was made with another {what}; give the same, or another -o, or begin anew without --resume")
+        report.note(report.warnings, missing_libraries())
         run(job, report, progress, cancelled)
     print(report.table())
     for line in report.warnings:
         print(f"warning: {line}", file=sys.stderr)
     return report
+
+
+def new_report(args: argparse.Namespace, job: Job) -> Report:
+    """An empty report, with all that the results of a job on the open file depend on."""
+    import bpy
+
+    from ..core.report import Report
+    from ..lipac_addon.pipeline import SHOT
+
+    scene, path = bpy.context.scene, args.scene or bpy.data.filepath
+    options: dict[str, Any] = {f"cull {name}": value for name, value in dataclasses.asdict(job.options).items() if name not in ("threads", "seed", "policy")}
+    options |= {"resolution": [scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage], "camera": args.camera or ""}
+    options |= {"samples": job.samples, "bake": job.bake, "warm": job.warm, "file": digest(Path(path)) if path else ""}
+    if job.engine == "hybrid":
+        options["hybrid"] = dataclasses.asdict(job.hybrid)
+    if job.bake == SHOT or job.warm:
+        options["frames"] = [job.frames[0], job.frames[-1]]
+    threads = args.threads or os.cpu_count() or 1
+    return Report(str(path), bpy.app.version_string, own_version(), args.cull, job.engine, args.seed, threads, options)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file's contents, "" where there is no such file."""
+    if not path.is_file():
+        return ""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def own_version() -> str:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.scene import I32, Records
+from ..keys import packed
 from .instances import Placed, Rows
 
 Mask = NDArray[np.bool_]
@@ -52,12 +53,5 @@ def _same_keys(a: Records, b: Records) -> bool:
 
 def _matches(a: Records, b: Records) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Indices into a and b of records that are in both; of several equal ones the first."""
-    x, y = _packed(a), _packed(b)
-    _, i, j = np.intersect1d(x, y, return_indices=True)
+    _, i, j = np.intersect1d(packed(a), packed(b), return_indices=True)
     return i, j
-
-
-def _packed(records: Records) -> NDArray[np.void]:
-    """(N,) comparable items of a fixed number of bytes."""
-    columns = np.column_stack([records["kind"].astype(np.int32), records["host"], records["object"], records["path"]])
-    return np.ascontiguousarray(columns).view(f"V{columns.itemsize * columns.shape[1]}").ravel()
