@@ -84,7 +84,7 @@ class BlasCache:
     """The meshes of a scene that are loaded and built.
 
     table: (M,) of MESH; scenes: (M,) uint64 Embree handles, 0 where there is none; bytes_of: (M,) int64, Embree's memory per BLAS.
-    work: what was done since somebody last put a new `Work` there.
+    work: what was done since somebody last put a new `Work` there. refused: meshes that did not fit into the limit when one was last given.
     """
 
     def __init__(self, meshes: Sequence[Mesh], device: embree.Device | None = None) -> None:
@@ -100,6 +100,7 @@ class BlasCache:
         self.bytes_of = np.zeros(len(meshes), np.int64)
         self._known = np.zeros(len(meshes), np.int64)  # bytes_of when it was last built
         self._deforms = np.zeros(len(meshes), bool)
+        self.refused = np.zeros(0, np.int64)
         self.work = Work()
 
     @property
@@ -181,6 +182,7 @@ class BlasCache:
         guess = int(known[known > 0].mean()) if (known > 0).any() else 0
         fits = np.cumsum(np.where(known > 0, known, guess)) <= limit
         self.keep_only(meshes[fits])
+        self.refused = meshes[~fits]
         return meshes[fits]
 
     def _load(self, index: int) -> Mesh:

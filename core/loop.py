@@ -36,6 +36,7 @@ COLD_HITS = 4  # segments of one round that must cross a box before it is opened
 SETTLED = 0.02  # segments per path that still ask for a box when coarse rounds end
 UNKNOWN = 0.2  # segments per path that ask for a box where coarse rounds are worth while
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
+GROWTH = 1.05  # per round, of what an instance is worth that waits for its BLAS
 LARGE = 0.05  # of the picture's width: what comes into view this large is activated before it is asked for
 
 
@@ -222,7 +223,9 @@ class Loop:
         start = time.perf_counter()
         rows = np.flatnonzero(self.active)
         meshes, users = np.unique(self.scene.instances.mesh[rows], return_inverse=True)
-        order = np.argsort(-np.bincount(users, self.value[rows], len(meshes)), kind="stable")
+        value = np.bincount(users, self.value[rows], len(meshes)).astype(np.float64)
+        value[self.blas.scenes[meshes] != 0] *= self.options.hysteresis  # nothing is freed for what is worth hardly more
+        order = np.argsort(-value, kind="stable")
         self.blas.provide(meshes[order], self.options.blas_budget_ms / 1000, self.options.blas_budget_bytes, self._step(progress))
         self.timer.add("build_s", start)
 
@@ -406,8 +409,10 @@ class Loop:
         asked = np.flatnonzero(crossings >= COLD_HITS)
         leaves = asked[cut.level[asked] == 0]
         single = self.regions.order[cut.index[leaves]]
-        self.value[single] = crossings[leaves] / max(feedback.paths, 1)
-        asked = np.setdiff1d(asked, leaves[self.active[single]], assume_unique=True)  # less those that wait for their BLAS
+        crossed = (crossings[leaves] / max(feedback.paths, 1)).astype(np.float32)
+        waits = self.active[single]  # for its BLAS: what paths met of it before says more than what crosses its box now
+        self.value[single] = np.where(waits, np.minimum(GROWTH * self.value[single], crossed), crossed)
+        asked = np.setdiff1d(asked, leaves[waits], assume_unique=True)
         self.regions.split_nodes(cut, asked, crossings[asked] // COLD_HITS)
         self.active[self.regions.instances_of(cut, asked)] = True
         emissive = self.prepared.emissive  # emitters that lit a path are known before their boxes are crossed
@@ -429,8 +434,10 @@ class Loop:
         cut = self.regions.cut(np.flatnonzero(keep))
         boxes = Hitboxes(cut.bounds, self.device)
         state = np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED))
-        waiting = self._waiting() if self._limited else np.zeros(0, np.int64)
-        state[waiting] = State.PENDING if self.options.blas_budget_ms else State.CULLED
+        if self._limited:
+            waiting = self._waiting()
+            comes = bool(self.options.blas_budget_ms) & ~np.isin(mesh[waiting], self.blas.refused)
+            state[waiting] = np.where(comes, np.uint8(State.PENDING), np.uint8(State.CULLED))
         self.timer.add("build_s", start)
         counts = np.bincount(state, minlength=len(State))
         stats: dict[str, float | int] = {
