@@ -90,9 +90,7 @@ def duplicates_and_non_manifold() -> Iterator[Figure]:
     yield Figure("every triangle twice", "pixels that differ by more than 1 %", changed(picture_of(body), picture_of(double)), 0.0)
     flipped = s.Mesh(body.positions, np.concatenate([body.triangles, body.triangles[:, ::-1]]))
     yield Figure("every triangle twice, facing both ways", "pixels that differ by more than 1 %", changed(picture_of(body), picture_of(flipped)), 0.0)
-    sheets = s.Mesh(
-        np.array([[0, 0, -1], [0, 0, 1], [1, 0, 0], [-1, 0.5, 0], [0, 1, 0]], np.float32), np.array([[0, 1, 2], [0, 1, 3], [1, 0, 4]], np.uint32)
-    )
+    sheets = s.Mesh(np.array([[0, 0, -1], [0, 0, 1], [1, 0, 0], [-1, 0.5, 0], [0, 1, 0]], np.float32), np.array([[0, 1, 2], [0, 1, 3], [1, 0, 4]], np.uint32))
     picture = picture_of(sheets)
     yield Figure("three triangles on one edge", "pixels that are not finite", float((~np.isfinite(picture)).mean()), 0.0)
 
@@ -118,7 +116,9 @@ def coplanar_overlap() -> Iterator[Figure]:
             sun = lamp(s.LightKind.SUN, power=2)
             sun["axis_z"] = turn @ (np.array([0.5, -0.4, 0.7]) / np.linalg.norm([0.5, -0.4, 0.7]))
             camera = scenes.look_at(tuple(turn @ [0, -2, 4]), (0, 0, 0), 0.3)  # type: ignore[arg-type]
-            pictures.append(render(scenes.build([mesh], [(0, scenes.placed((0, 0, 0)), 0)], [material(base_color=0.5)], camera, sun, (0, 0, 0), (64, 36)), 8).mean)
+            pictures.append(
+                render(scenes.build([mesh], [(0, scenes.placed((0, 0, 0)), 0)], [material(base_color=0.5)], camera, sun, (0, 0, 0), (64, 36)), 8).mean
+            )
         yield Figure(f"two overlapping floors in one plane, {name}", "pixels that differ by more than 1 %", changed(*pictures), 0.0)
 
 
