@@ -1,0 +1,156 @@
+"""Shadows from paths and raster together, and the light that paths bring to a raster's hits: known answers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lipac.core import scene as s
+from lipac.core.blas import BlasCache
+from lipac.core.errors import InputError
+from lipac.core.hitboxes import Hitboxes
+from lipac.core.hybrid import MODES, Light, with_mode
+from lipac.core.tlas import Tlas
+from lipac.core.tracer import prepare, trace
+
+from .scenes import build, cube, lamp, look_at, material, placed, quad, sphere
+from .test_primary import NEEDLE, SIZE, first_hits, mixed
+
+
+def light(scene: s.Scene, keep: np.ndarray | list[bool] | None = None, samples: int = 8, **options: object) -> Light:
+    """Light of one pass at pixel centres, with keep (N,) bool built; boxes of instances stand for the rest."""
+    active = np.ones(len(scene.instances), bool) if keep is None else np.asarray(keep)
+    blas = BlasCache(scene.meshes)
+    blas.need(scene.instances.mesh[active])
+    one = dataclasses.replace(scene, first_hits={SIZE: first_hits(scene)})
+    prepared = prepare(one, blas).with_emitters(active)
+    boxes = Hitboxes(scene.instances.bounds[~active])
+    return Light.of([trace(prepared, Tlas(scene.instances, blas, active), samples, boxes=boxes, **options)])  # type: ignore[arg-type]
+
+
+def picture(of: Light, visible: np.ndarray | None = None) -> np.ndarray:
+    return of.straight + of.lamps(visible) + of.indirect
+
+
+def centred(scene: s.Scene) -> s.Scene:
+    return dataclasses.replace(scene, film=dataclasses.replace(scene.film, filter_width=NEEDLE))
+
+
+def shadowed(height: float = 2.0) -> s.Scene:
+    """Ground below a blocker below a point lamp, seen from the side; no other light."""
+    lights = lamp(s.LightKind.POINT, (0, 0, 2 * height), radius=0.0)
+    placement = [(0, placed((0, 0, 0), 12.0), 0), (1, placed((0, 0, height), (1.0, 1.0, 0.1)), 0)]
+    return centred(build([quad(), cube()], placement, [material(base_color=0.8)], look_at((0, -9, 5), (0, 0, 0.5)), lights, world=(0, 0, 0), size=SIZE))
+
+
+def test_white_furnace():
+    """Surfaces that absorb nothing under a sky of 1 look like 1, whichever of them are built: energy is neither made nor lost. A path's Russian roulette never
+    ends it, so what is missing from 1 is what many bounces between the spheres have not brought out yet: a share that the limit of 64 bounces makes tiny."""
+    white = material(base_color=1.0)
+    limits = s.PathLimits(64, 64, 64, 64)
+    placement = [(0, placed((x, 0, 0), 0.9), 0) for x in (-1.0, 1.0)]
+    scene = centred(build([sphere(12)], placement, [white], look_at((0, -6, 1), (0, 0, 0)), world=(1, 1, 1), size=SIZE, limits=limits))
+    for keep in ([True, True], [True, False], [False, False]):
+        seen = picture(light(scene, keep, 16))
+        assert abs(seen.mean() - 1.0) < 2e-3
+        assert np.abs(seen - 1.0).max() < 0.3  # one path of 16 that got lost
+
+
+def test_unculled_is_traced():
+    """With everything built nothing is in doubt: the raster's shadows, here none at all and full ones, change nothing."""
+    all_of_it = light(mixed())
+    assert (all_of_it.maybe == 0).all()
+    for visible in (0.0, 1.0):
+        np.testing.assert_array_equal(all_of_it.lamps(np.full(SIZE[::-1], visible, np.float32)), all_of_it.clear)
+
+
+def test_blocker_built_or_culled():
+    """A shadow that is traced, and one that the raster knows, are the same; without either the light arrives."""
+    scene = shadowed()
+    traced = light(scene)
+    ground = first_hits(scene).hits["instance"] == 0
+    dark = ground & (traced.clear.sum(axis=2) == 0)
+    assert 20 < dark.sum() < 0.5 * ground.sum()
+    visible = np.where(dark, 0.0, 1.0).astype(np.float32)
+    culled = light(scene, [True, False])
+    assert culled.clear[dark].max() == 0 and culled.maybe[dark].min() > 0
+    # The blocker's own pixels are left out: which of its sides are lit is for a raster to say, and `dark` is about the ground.
+    np.testing.assert_allclose(culled.lamps(visible)[ground], traced.lamps(None)[ground], atol=1e-6)
+    assert culled.lamps(None)[dark].min() > 0.1 * traced.clear[ground].max()
+
+
+def test_raster_decides_only_over_what_is_in_doubt():
+    """Where no box of what is culled lies on the way to the lamp, a raster that says dark is wrong, and is not asked."""
+    scene = shadowed()
+    ground = first_hits(scene).hits["instance"] == 0
+    culled = light(scene, [True, False])
+    free = ground & (culled.maybe.sum(axis=2) == 0)
+    assert free.sum() > 100
+    black = np.zeros(SIZE[::-1], np.float32)
+    assert culled.lamps(black)[free].min() > 0
+    assert culled.lamps(black)[ground & ~free].max() == 0
+
+
+def test_everything_culled_is_the_raster():
+    """Where every lamp's light crosses boxes, its share that arrives is the raster's, whatever that is."""
+    scene = shadowed()
+    box = Hitboxes(np.array([[[-20, -20, -1], [20, 20, 3.5]]], np.float32))
+    one = dataclasses.replace(scene, first_hits={SIZE: first_hits(scene)})
+    blas = BlasCache(scene.meshes)
+    nothing = Tlas(scene.instances, blas, np.zeros(2, bool))
+    of = Light.of([trace(prepare(one, blas), nothing, 4, boxes=box)])
+    assert (of.clear == 0).all()
+    visible = np.linspace(0, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE[::-1])
+    np.testing.assert_allclose(of.lamps(visible), visible[..., None] * of.maybe, rtol=1e-5, atol=1e-7)
+
+
+def test_mirror_shows_what_is_built():
+    """A mirror's pixels show the traced scene, known colours each, and do not change by a bit however much is culled that it does not show."""
+    mirror, red, blue = material(s.Shader.GLOSSY, base_color=1.0, roughness=0.0), material(s.Shader.EMISSION, emission=(1, 0, 0)), material(base_color=0.5)
+    facing = np.array([[4, 0, 0, 0], [0, 0, -4, 3], [0, 4, 0, 1]], np.float32)  # a wall at y = 3, normal -Y
+    placement = [(0, facing, 0), (1, placed((0, -7, 1), 1.5), 1), (1, placed((0, 8, 1)), 2), (1, placed((30, 0, 1)), 2)]
+    scene = centred(build([quad(), sphere(12)], placement, [mirror, red, blue], look_at((0, -5, 1), (0, 3, 1)), world=(0.1, 0.2, 0.3), size=SIZE))
+    seen = first_hits(scene).hits["instance"] == 0
+    everything, shown = picture(light(scene)), picture(light(scene, [False, True, False, False]))
+    np.testing.assert_array_equal(everything[seen], shown[seen])
+    reflected = np.abs(shown - (1, 0, 0)).max(axis=2) < 1e-5
+    assert (reflected & seen).sum() > 20
+    sky = np.abs(shown - (0.1, 0.2, 0.3)).max(axis=2) < 1e-5
+    assert (seen & ~sky & ~reflected).sum() == 0
+
+
+def test_interior_lit_by_bounce():
+    """A floor under a lid, the lamp beside it: light comes by way of the ground alone. The mean is the path tracer's, to 4 standard errors of the paths."""
+    walls = [(0, placed((0, 0, 0), 14.0), 0), (1, placed((0, 0, 1.2), (4.0, 4.0, 0.1)), 0)]
+    lights = lamp(s.LightKind.SPOT, (5, 0, 4), radius=0.05, spot_size=0.6, power=800.0)
+    scene = centred(build([quad(), cube()], walls, [material(base_color=0.8)], look_at((0, -6, 0.5), (0, 0, 0.4), 0.2), lights, world=(0, 0, 0), size=SIZE))
+    of = light(scene, samples=64)
+    under = first_hits(scene).hits["instance"] == 0
+    hidden = under & (of.clear.sum(axis=2) == 0)
+    assert hidden.sum() > 50
+    blas = BlasCache(scene.meshes)
+    blas.need(scene.instances.mesh)
+    paths = trace(prepare(scene, blas), Tlas(scene.instances, blas, np.ones(2, bool)), 64, first_sample=64).mean[..., 0]
+    a, b = of.indirect[..., 0][hidden], paths[hidden]
+    assert b.mean() > 1e-3
+    assert abs(a.mean() - b.mean()) < 4 * np.sqrt((a.var() + b.var()) / hidden.sum())
+
+
+@pytest.mark.parametrize("mode", MODES[:3])
+def test_modes(mode):
+    """What a mode traces: sky and emitters light diffuse surfaces in all, mirrors reflect in all; light from a second surface comes only by way of a bounce."""
+    scene = with_mode(mixed(), mode)
+    assert (scene.limits.diffuse == 0) == (mode == "reflections")
+    of = light(scene, samples=16)
+    full = light(mixed(), samples=16)
+    hits = first_hits(scene).hits["instance"]
+    assert of.indirect[hits == 0].mean() > 0.1
+    assert of.indirect[hits == 1].mean() > 0.1
+    assert of.indirect.mean() <= full.indirect.mean() * 1.02
+    if mode != "path":
+        assert of.indirect[hits == 0].mean() < 0.98 * full.indirect[hits == 0].mean()
+
+
+def test_mode_unknown():
+    with pytest.raises(InputError, match="unknown global illumination 'radiosity'"):
+        with_mode(mixed(), "radiosity")
