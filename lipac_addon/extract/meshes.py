@@ -6,6 +6,7 @@ can be read after the dependency graph is gone. Nothing else of Blender is kept.
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import weakref
 from collections.abc import Sequence
@@ -123,12 +124,38 @@ def _uv(mesh: Any, name: str) -> F32:
     return np.zeros((count, 2), np.float32) if layer is None else read(layer.uv, "vector", count, 2)
 
 
+def _corners(mesh: Any) -> NDArray[np.int32]:
+    """(T, 3) corners of the triangles of a mesh.
+
+    Blender gives them out one by one, which takes most of the time that reading a mesh takes. They lie in one array, whose address is that of the first; where
+    it turns out not to be so, they are read one by one.
+    """
+    triangles, count = mesh.loop_triangles, len(mesh.loop_triangles)
+    if not count:
+        return np.zeros((0, 3), np.int32)
+    first = triangles[0].as_pointer()
+    if triangles[count - 1].as_pointer() - first == 12 * (count - 1):
+        out = np.ctypeslib.as_array((ctypes.c_int32 * (3 * count)).from_address(first)).reshape(count, 3).copy()
+        if all(tuple(triangles[k].loops) == tuple(out[k].tolist()) for k in {0, count // 3, count // 2, count - 1}):
+            return out
+    return read(triangles, "loops", count, 3, np.int32)
+
+
+def _slots(mesh: Any) -> NDArray[np.uint16]:
+    """(T,) material slot of each triangle."""
+    index, count = mesh.attributes.get("material_index"), len(mesh.loop_triangles)
+    if index is None or index.domain != "FACE":
+        return np.zeros(count, np.uint16)
+    faces = read(mesh.loop_triangle_polygons, "value", count, dtype=np.int32)
+    return read(index.data, "value", len(mesh.polygons), dtype=np.int32)[faces].astype(np.uint16)
+
+
 def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
     """Reads the triangles of a mesh. Triangles with a vertex that is not finite are left out."""
     mesh = source.geometry.mesh
     positions = _positions(mesh)
-    count = len(mesh.loop_triangles)
-    vertices = read(mesh.loop_triangles, "vertices", count, 3, np.int32)
+    corners = _corners(mesh)
+    vertices = read(mesh.attributes[".corner_vert"].data, "value", len(mesh.loops), dtype=np.int32)[corners]
     kept: slice | NDArray[np.bool_] = slice(None)
     if source.broken:
         usable = _usable(positions)
@@ -138,14 +165,14 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
         positions = (positions - source.origin).astype(np.float32)
     loops: NDArray[np.int32] | None = None
     if mesh.normals_domain != "FACE" or source.needs_uv:
-        loops = read(mesh.loop_triangles, "loops", count, 3, np.int32)[kept]
+        loops = corners[kept]
     normals = uvs = slots = None
     if loops is not None and mesh.normals_domain != "FACE":
         normals = read(mesh.corner_normals, "vector", len(mesh.loops), 3)[loops]
     if loops is not None and source.needs_uv:
         uvs = np.stack([_uv(mesh, name)[loops] for name in uv_maps])
     if source.slot_count > 1:
-        slots = read(mesh.loop_triangles, "material_index", count, dtype=np.int32)[kept].astype(np.uint16)
+        slots = _slots(mesh)[kept]
     triangles: U32 = np.ascontiguousarray(vertices[kept]).view(np.uint32)
     return Mesh(positions, triangles, normals, uvs, slots)
 

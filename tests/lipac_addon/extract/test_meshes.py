@@ -56,6 +56,25 @@ def test_normals_slots_and_uvs() -> None:
     np.testing.assert_allclose(corner, np.broadcast_to(corner[0], corner.shape), atol=1e-6)
 
 
+def test_triangles_are_those_that_blender_gives_out() -> None:
+    """Read in one piece: as one by one, for triangles, quads and n-gons, with slots, of a mesh by itself and of one that a modifier makes."""
+    mesh = bpy.data.meshes.new("mixed")
+    rng = np.random.default_rng(0)
+    mesh.from_pydata(rng.random((40, 3)).tolist(), [], [tuple(range(k, k + 3 + k % 5)) for k in range(0, 30, 3)])
+    for k in range(3):
+        mesh.materials.append(bpy.data.materials.new(str(k)))
+    mesh.polygons.foreach_set("material_index", rng.integers(0, 3, len(mesh.polygons)))
+    add("mixed", mesh)
+    add("array", mesh).modifiers.new("a", "ARRAY").count = 3
+    scene = extract_frame(bpy.context.scene).scene
+    for k, copies in enumerate((1, 3)):
+        loaded, triangles = scene.meshes[scene.instances.mesh[k]], mesh.loop_triangles
+        assert loaded.slots is not None
+        vertices = np.array([tuple(t.vertices) for t in triangles])
+        np.testing.assert_array_equal(loaded.triangles, np.concatenate([vertices + 40 * c for c in range(copies)]))
+        np.testing.assert_array_equal(loaded.slots, np.tile([t.material_index for t in triangles], copies))
+
+
 def test_not_finite_vertices() -> None:
     """Triangles with NaN, infinite or absurd vertices are left out with a warning, bounds and the rest stand; a mesh of nothing else is no mesh."""
     mesh = cube("broken")
