@@ -119,6 +119,14 @@ class Rows:
     def __getitem__(self, part: slice) -> Rows:
         return Rows(*(getattr(self, name)[part] for name in Rows.__dataclass_fields__))
 
+    def same(self, other: Rows) -> bool:
+        """Whether all rows are the same."""
+        if len(self) != len(other):
+            return False
+        columns = [(getattr(self, name), getattr(other, name)) for name in Rows.__dataclass_fields__ if name != "records"]
+        columns += [(self.records[name], other.records[name]) for name in KEY.names or ()]
+        return all(np.array_equal(a, b) for a, b in columns)
+
     def instances(self) -> Instances:
         """For the core."""
         return Instances(self.transform, self.mesh, self.slots, self.flags, self.bounds)
@@ -209,23 +217,24 @@ class Placer:
         return self._placed()
 
     def _placed(self) -> Placed:
-        fresh = self._output.rows[: self._output.count]
-        old = self._before
-        blocks = [block for block, _, _ in self._blocks]
-        before = [(known, taken) for _, known, taken in self._blocks]
-        starts = np.cumsum([0, *(block.count for block in blocks)]).tolist()
-        parts, at = [], 0
-        for block, (known, taken), start in zip(blocks, before, starts[:-1], strict=True):
-            if taken and known is not None and old is not None:
-                parts.append(old.rows[known.first : known.first + known.count])
-            else:
-                parts.append(fresh[at : at + block.count])
-                at += block.count
-            block.first = start
-        if old is not None and all(taken for _, taken in before) and len(old.rows) == starts[-1]:
+        fresh, old = self._output.rows, self._before
+        blocks, before, parts, at = [], [], [], 0
+        for block, known, taken in self._blocks:
+            rows = None if known is None or old is None else old.rows[known.first : known.first + known.count]
+            if not taken:
+                own, at = fresh[at : at + block.count], at + block.count
+                taken = rows is not None and own.same(rows)  # placed again, and nothing came of it
+                rows = rows if taken else own
+            parts.append(rows)
+            before.append((known, taken))
+            block.first = blocks[-1].first + blocks[-1].count if blocks else 0
+            blocks.append(block)
+        count = sum(block.count for block in blocks)
+        still = all(taken and known is not None and known.first == block.first for block, (known, taken) in zip(blocks, before, strict=True))
+        if old is not None and still and len(old.rows) == count:
             rows = old.rows
         else:
-            rows = fresh if at == starts[-1] else Rows.join(parts)
+            rows = fresh[:at] if at == count else Rows.join([part for part in parts if part is not None])
         return Placed(self.origin, rows, blocks, before)
 
     # Blocks
