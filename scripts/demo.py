@@ -12,10 +12,16 @@ def main(argv: Sequence[str]) -> int:
     from ..core.errors import InputError
     from .options import Parser, count
 
-    parser = Parser(prog="lipac demo", description="Write a procedural demo scene to a .blend file.")
-    parser.add_argument("name", metavar="NAME", help="mirror-city: streets of instanced buildings, seen in a large mirror")
+    parser = Parser(
+        prog="lipac demo",
+        description="Write a procedural demo scene to a .blend file.",
+        epilog="mirror-city: streets of instanced buildings, seen in a large mirror. flythrough: the same city; the camera drives through it and turns a "
+        "corner, frames 1-96. crowd: walking characters with skeletons, each deformed on its own, frames 1-48.",
+    )
+    parser.add_argument("name", metavar="NAME", help="mirror-city, flythrough, or crowd (see below)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.blend")
-    parser.add_argument("--instances", type=count, metavar="N", help="1,000 to 1,000,000 (default: as the scene suits)")
+    parser.add_argument("--instances", type=count, metavar="N", help="in the city: 1,000 to 1,000,000; in the crowd: figures, 1 to 20,000")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="crowd: an animated character, .glb for example (default: a plain figure of our own)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="the same seed gives the same scene (default: 0)")
     parser.add_argument("--quiet", action="store_true", help="print nothing")
     args = parser.parse_args(argv)
@@ -31,7 +37,7 @@ def main(argv: Sequence[str]) -> int:
 
         from ..lipac_addon.demo import build
 
-        build(args.name, args.instances, args.seed)
+        build(args.name, args.instances, args.seed, args.figure)
         with replacing(args.output) as part:
             bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), check_existing=False, copy=True)
     if not args.quiet:

@@ -10,6 +10,7 @@ nothing about whether it is seen. Street, tower and mirror are objects.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import bpy
 import numpy as np
@@ -53,21 +54,26 @@ def build(instances: int | None, seed: int) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     points, kind, turn, size = layout(count, np.random.default_rng(seed))
-    scatter("City", _sources(np.random.default_rng(seed + 1)), points, kind, turn, size)
-    _street(scene, float(np.abs(points[:, :2]).max()) + 60.0)
-    _mirror(scene)
-    _light(scene)
-    _camera(scene)
+    scatter("City", sources(np.random.default_rng(seed + 1)), points, kind, turn, size)
+    add_street(scene, float(np.abs(points[:, :2]).max()) + 60.0)
+    add_mirror(scene)
+    add_light(scene)
+    add_camera(scene)
 
 
-def layout(count: int, rng: np.random.Generator) -> tuple[F64, np.ndarray, F64, F64]:
+def layout(
+    count: int, rng: np.random.Generator, leave_out: Callable[[F64], np.ndarray] | None = None
+) -> tuple[F64, np.ndarray, F64, F64]:
     """Where everything stands: points (count, 3) metres, kind (count,) index of the part, turn (count,) radians about Z, size (count,) factor.
 
-    The street comes first and is the same for every count; then suburb blocks by distance, cut off at `count`.
+    The street comes first and is the same for every count; then suburb blocks by distance, cut off at `count`. leave_out: which rows of the street, (K, 5)
+    of x, y, kind, turn, size, are to be missing.
     """
-    street = _street_rows(np.random.default_rng(rng.integers(1 << 32)))
-    suburb = _blocks(count - len(street), np.random.default_rng(rng.integers(1 << 32)))
-    rows = np.concatenate([street, suburb])
+    own = _street_rows(np.random.default_rng(rng.integers(1 << 32)))
+    if leave_out is not None:
+        own = own[~leave_out(own)]
+    suburb = _blocks(count - len(own), np.random.default_rng(rng.integers(1 << 32)))
+    rows = np.concatenate([own, suburb])
     return np.column_stack([rows[:, :2], np.zeros(len(rows))]), rows[:, 2].astype(np.int64), rows[:, 3], rows[:, 4]
 
 
@@ -154,7 +160,7 @@ def _block(rng: np.random.Generator, houses: int) -> F64:
     return np.concatenate(out)
 
 
-def _sources(rng: np.random.Generator) -> list[bpy.types.Object]:
+def sources(rng: np.random.Generator) -> list[bpy.types.Object]:
     """The objects that are instanced, in the order of the kinds."""
     stone = material("Stone", (0.62, 0.58, 0.50), 0.8)
     glass = material("Window", (0.02, 0.03, 0.04), 0.04)
@@ -194,7 +200,7 @@ def _object(scene: bpy.types.Scene, name: str, solid: Solid, *materials: bpy.typ
     return made
 
 
-def _street(scene: bpy.types.Scene, reach: float) -> None:
+def add_street(scene: bpy.types.Scene, reach: float) -> None:
     """Ground of the whole city, and the street's pavements and markings."""
     ground = Solid()
     ground.quads([[[-reach, -reach, 0], [reach, -reach, 0], [reach, reach, 0], [-reach, reach, 0]]], 0)
@@ -223,7 +229,7 @@ def _column(x: F64 | float, y: F64 | float, z: float) -> F64:
     return np.stack(np.broadcast_arrays(x, y, z), 1)
 
 
-def _mirror(scene: bpy.types.Scene) -> None:
+def add_mirror(scene: bpy.types.Scene) -> None:
     """A mirror of 13 by 7.6 m in a gilded frame, across the street."""
     half, height, foot = MIRROR_SIZE[0] / 2, MIRROR_SIZE[1], 0.5
     s = Solid()
@@ -243,7 +249,7 @@ def _mirror(scene: bpy.types.Scene) -> None:
     made.rotation_euler = (0.0, 0.0, MIRROR_TURN)
 
 
-def _light(scene: bpy.types.Scene) -> None:
+def add_light(scene: bpy.types.Scene) -> None:
     sun = bpy.data.lights.new("Sun", "SUN")
     sun.energy, sun.angle, sun.color = 9.0, math.radians(1.0), (1.0, 0.9, 0.75)
     lamp = bpy.data.objects.new("Sun", sun)
@@ -256,7 +262,7 @@ def _light(scene: bpy.types.Scene) -> None:
     scene.world = world
 
 
-def _camera(scene: bpy.types.Scene) -> None:
+def add_camera(scene: bpy.types.Scene) -> None:
     data = bpy.data.cameras.new("Camera")
     data.lens = 25.0
     data.clip_end = 2000.0
