@@ -14,12 +14,14 @@ from typing import overload
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from .blas import MESH, loaded, record
-from .camera import aperture_point, camera_constants, camera_ray
+from .camera import aperture_point, camera_constants, camera_ray, projection
+from .culling import BLOCK
 from .embree import HIT_U, HIT_V, PRIM_ID, RAY, intersect, set_ray
 from .film import filter_offset, filter_offsets
-from .scene import F32, F64, Camera, Film, Mesh, RayType, Records
+from .scene import F32, F64, Camera, Film, Mesh, RayType, Records, Scene
 from .tlas import Tlas, hit_instance
 
 # What a camera ray meets: instance (-1: nothing), triangle of its mesh, barycentrics of the triangle's vertices 1 and 2.
@@ -102,6 +104,24 @@ def _sequence(index: int, dimensions: int) -> F64:
     for _ in range(64):
         phi = (1 + phi) ** (1 / (dimensions + 1))
     return np.asarray((0.5 + index * phi ** -np.arange(1.0, dimensions + 1)) % 1.0)
+
+
+def in_view(scene: Scene, margin: float = 0.05) -> NDArray[np.bool_]:
+    """Instances that camera rays may see: (N,) bool. Visible to them, and the box is not wholly beyond one side of the view, widened by margin (a share of half
+    the picture) and by the lens: so no pass of `pass_camera` sees another."""
+    instances, camera = scene.instances, scene.camera
+    matrix, _ = projection(camera)
+    planes = np.concatenate([(1 + margin) * matrix[3] + sign * matrix[axis] for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1))] + [matrix[3] + matrix[2]])
+    planes = planes.reshape(-1, 4)
+    seen = (instances.flags & _CAMERA_MASK) != 0
+    for a in range(0, len(instances), BLOCK):
+        bounds = instances.bounds[a : a + BLOCK].astype(np.float64)
+        low, high = bounds[:, 0] - camera.aperture, bounds[:, 1] + camera.aperture
+        for plane in planes:  # the corner that is furthest on its inner side
+            corner = np.where(plane[:3] > 0, high, low)
+            with np.errstate(invalid="ignore", over="ignore"):
+                seen[a : a + BLOCK] &= (low <= high).all(axis=1) & (corner @ plane[:3] + plane[3] >= 0)
+    return seen
 
 
 def trace_primary(tlas: Tlas, meshes: MeshTable, camera: Camera, size: tuple[int, int], mesh_of: np.ndarray) -> Primary:

@@ -111,12 +111,11 @@ class FirstHits:
             self.meshes, self.draw = buffer.meshes, buffer.draw
             return
         from ..core.blas import BlasCache
-        from ..core.culling import keep_frustum
         from ..core.embree import shared_device
-        from ..core.primary import MeshTable, pass_camera, trace_primary
+        from ..core.primary import MeshTable, in_view, pass_camera, trace_primary
         from ..core.tlas import Tlas
 
-        seen = keep_frustum(scene, 0.05) & ((scene.instances.flags & (1 << RayType.CAMERA)) != 0)
+        seen = in_view(scene)
         blas = BlasCache(scene.meshes, shared_device(threads))
         blas.need(scene.instances.mesh[seen])
         tlas = Tlas(scene.instances, blas, seen)

@@ -11,9 +11,8 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
 from ...core.camera import projection
-from ...core.culling import keep_frustum
-from ...core.primary import HIT, MeshTable, Primary, pass_camera
-from ...core.scene import F32, I64, RayType, Scene
+from ...core.primary import HIT, MeshTable, Primary, in_view, pass_camera
+from ...core.scene import F32, I64, Scene
 
 ROW = 1024  # instances per row of the texture that holds transforms
 _TEXELS = 3  # of an instance: the rows of its transform
@@ -75,9 +74,7 @@ class GBuffer:
         self.scene = scene
         self.meshes = MeshTable(scene.meshes)
         instances = scene.instances
-        exists = (instances.bounds[:, 0] <= instances.bounds[:, 1]).all(axis=1) & np.isfinite(instances.bounds).all(axis=(1, 2))
-        seen = exists & ((instances.flags & (1 << RayType.CAMERA)) != 0) & keep_frustum(scene, 0.05)
-        chosen = np.flatnonzero(seen)
+        chosen = np.flatnonzero(in_view(scene))
         self.order: I64 = chosen[np.argsort(instances.mesh[chosen], kind="stable")]
         self._shader = _make_shader()
         self._transforms = self._upload()
