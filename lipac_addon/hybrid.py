@@ -224,7 +224,7 @@ class _Tracing:
         self.size = (scene.film.width, scene.film.height)
         self.first = np.linspace(0, samples, passes + 1).round().astype(int)  # sample number of each pass
         self.pictures: list[Picture] = []
-        self._shown = np.zeros((2, self.size[1], self.size[0]), np.float32)
+        self._shown = np.zeros((self.size[1], self.size[0], 8), np.float32)  # as `layers` names them
 
     def decide(self, choose: Callable[[], CullingResult]) -> None:
         """What is kept, and its structures."""
@@ -247,6 +247,7 @@ class _Tracing:
 
     def trace(self, primary: Primary, index: int) -> None:
         """Paths of a pass."""
+        from ..core.guides import guides
         from ..core.tracer import trace
 
         if self.cancelled() or not hasattr(self, "result"):
@@ -259,7 +260,7 @@ class _Tracing:
                 one, self._tlas, last - first, first, self.seed, threads=self.threads, progress=within, cancelled=self.cancelled, boxes=self._boxes
             )
             self.pictures.append(picture)
-            self._shown += _decided(primary, self.result)
+            self._shown += np.concatenate([_decided(primary, self.result), guides(self._prepared.table, primary)], axis=2)
 
     def light(self) -> Light:
         """Of all passes."""
@@ -268,18 +269,18 @@ class _Tracing:
         return Light.of(self.pictures)
 
     def layers(self) -> dict[str, F32]:
-        """What was decided about what is seen."""
-        state, heat = self._shown / np.float32(len(self.pictures))
-        return {"Culling State": state, "Hit Feedback": heat}
+        """What was decided about what is seen, its base colours and normals."""
+        shown = self._shown / np.float32(len(self.pictures))
+        return {"Culling State": shown[..., 0], "Hit Feedback": shown[..., 1], "Albedo": shown[..., 2:5], "Normal": shown[..., 5:8]}
 
 
 def _decided(primary: Primary, result: CullingResult) -> F32:
-    """(2, H, W) of what is seen: 1 where active, 0 where culled or nothing; and log10(1 + n) of the n rays of the analysis that met it."""
+    """(H, W, 2) of what is seen: 1 where active, 0 where culled or nothing; and log10(1 + n) of the n rays of the analysis that met it."""
     instance = primary.hits["instance"]
     there = instance >= 0
     met = np.log10(1.0 + result.hits.sum(axis=1))
     active = there & (result.state[instance] == State.ACTIVE)
-    return np.stack([active, np.where(there, met[instance], 0.0)]).astype(np.float32)
+    return np.stack([active, np.where(there, met[instance], 0.0)], axis=2).astype(np.float32)
 
 
 def _combine(light: Light, passes: Passes | None, clean: bool, threads: int, layers: dict[str, F32]) -> F32:
@@ -289,7 +290,7 @@ def _combine(light: Light, passes: Passes | None, clean: bool, threads: int, lay
     traced = lamps + light.indirect
     layers["Traced Indirect"], layers["Traced Lamps"] = light.indirect, lamps
     if clean:
-        traced = denoise(traced, passes.albedo, passes.normal, threads) if passes is not None else denoise(traced, threads=threads)
+        traced = denoise(traced, passes.albedo if passes is not None else layers["Albedo"], layers["Normal"], threads)
         layers["Denoised"] = traced
     picture = np.concatenate([light.straight + traced, light.alpha[..., None]], axis=2)
     layers["Combined"] = picture
@@ -300,5 +301,5 @@ def _combine(light: Light, passes: Passes | None, clean: bool, threads: int, lay
 
 
 def _raster_layers(passes: Passes) -> dict[str, F32]:
-    surfaces = {"Raster Direct": passes.direct, "Shadow": passes.shadow, "Raster Albedo": passes.albedo, "Raster Normal": passes.normal}
+    surfaces = {"Raster Direct": passes.direct, "Shadow": passes.shadow, "Raster Albedo": passes.albedo}
     return surfaces | {"Raster Emission": passes.emission, "Raster Environment": passes.environment}

@@ -1,4 +1,4 @@
-"""EEVEE's passes of the whole scene: light of lamps with shadow maps, base colours, normals, emission, background."""
+"""EEVEE's passes of the whole scene: light of lamps with shadow maps, base colours, emission, background."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...core.scene import F32
 from ..console import muted
 from ..extract.depsgraph import changed, no_new_images
 
-_PASSES = ("z", "normal", "shadow", "diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color", "emit", "environment")
+_PASSES = ("shadow", "diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color", "emit", "environment")
 _FILE = {
     "media_type": "MULTI_LAYER_IMAGE",
     "file_format": "OPEN_EXR_MULTILAYER",
@@ -50,7 +50,6 @@ class Passes:
     glossy_color: F32
     emission: F32
     environment: F32
-    normal: F32
     shadow: F32
 
     @property
@@ -121,6 +120,5 @@ def _read(path: Path) -> Passes:
         glossy_color=color("Glossy Color"),
         emission=color("Emission"),
         environment=color("Environment"),
-        normal=color("Normal", "XYZ"),
         shadow=color("Shadow").mean(axis=2),
     )
