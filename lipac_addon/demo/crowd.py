@@ -42,6 +42,9 @@ def build(instances: int | None, seed: int, path: Path | None = None) -> None:
     rng = np.random.default_rng(seed)
     one = figure.our_own() if path is None else figure.from_file(path)
     scene = bpy.context.scene
+    _, upright, scale = one.armature.matrix_world.decompose()  # parents that turn or scale it go
+    one.armature.parent, one.armature.rotation_mode = None, "XYZ"
+    one.armature.rotation_euler, one.armature.scale = upright.to_euler(), scale
     for ob in [ob for ob in bpy.data.objects if ob != one.armature and ob not in one.parts]:
         bpy.data.objects.remove(ob)
     streets = -(-count // PER_STREET)
@@ -154,7 +157,7 @@ def _streets(scene: bpy.types.Scene, count: int, rng: np.random.Generator) -> No
     glass = Solid()
     glass.quads([[[0, -5, 0.4], [0, 5, 0.4], [0, 5, 3.2], [0, -5, 3.2]]], 0)
     pane = _object(scene, "Shop front", glass, [material("Mirror", (0.95, 0.95, 0.95), 0.0, 1.0)])
-    pane.location = (_STREET / 2 - 0.3, -LENGTH / 2 + 16.0, 0.0)
+    pane.location = (_STREET / 2 - 1.3, -LENGTH / 2 + 30.0, 0.0)
     pane.rotation_euler = (0.0, 0.0, math.pi)
 
 

@@ -14,7 +14,7 @@ from ..open import open_scene
 from .builders import material, mesh
 from .solids import F64, Solid
 
-HEIGHT = 1.8
+HEIGHT = 1.8  # metres
 CYCLE = 24  # frames of a step of our own figure with either foot
 
 # Bones of our own figure: name, parent, head and tail (metres; it looks along -Y), swing of its walk: amplitude in radians about X and phase in cycles.
@@ -38,7 +38,7 @@ _SIDES, _RINGS = 12, 8
 
 @dataclass(frozen=True)
 class Figure:
-    """armature: object with the skeleton; parts: meshes that it deforms; action: its movement; scale: factor that makes it HEIGHT high."""
+    """armature: object with the skeleton; parts: meshes that it deforms; action: its movement; scale: factor that makes its longest side HEIGHT."""
 
     armature: bpy.types.Object
     parts: tuple[bpy.types.Object, ...]
@@ -56,7 +56,7 @@ def from_file(path: Path) -> Figure:
         held = armature.animation_data
         action = (held and held.action) or next(iter(sorted(bpy.data.actions, key=lambda a: ("walk" not in a.name.lower(), a.name))), None)
         if parts and action is not None:
-            return Figure(armature, parts, action, HEIGHT / max(float(np.ptp(_corners(parts)[:, 2])), 1e-6))
+            return Figure(armature, parts, action, HEIGHT / max(float(np.ptp(_corners(parts), axis=0).max()), 1e-6))
     raise InputError(f"{path}: no animated character in it: --figure takes a file with a skeleton, a mesh on it and an action")
 
 
