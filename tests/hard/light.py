@@ -135,7 +135,7 @@ def white_furnace() -> Iterator[Figure]:
         for roughness in (0.0, 0.01, 0.1, 0.3, 0.7, 1.0):
             if shader == s.Shader.DIFFUSE and roughness not in (0.0, 1.0):
                 continue
-            fields = {"base_color": 1.0, "roughness": roughness, "diffuse_roughness": roughness}
+            fields: dict[str, object] = {"base_color": 1.0, "roughness": roughness, "diffuse_roughness": roughness}
             x = render(inside_furnace(fields, shader), 64).mean[..., 0].astype(np.float64)
             excess = abs(x.mean() - 1) - 4 * x.std() / np.sqrt(x.size)
             limit, why = (0.02, "rough glass and metal make up for lost bounces by a table, to 2 %") if shader != s.Shader.DIFFUSE else (1e-5, "float32 sums")
@@ -149,8 +149,7 @@ def white_furnace() -> Iterator[Figure]:
                 why,
             )
     for shader in (s.Shader.DIFFUSE, s.Shader.GLOSSY):
-        x = render(inside_furnace({"base_color": 0.0, "roughness": 0.3}, shader), 8).mean[..., :3]
-        inner = x[12:15, 22:26]
+        inner = render(inside_furnace({"base_color": 0.0, "roughness": 0.3}, shader), 8).mean[12:15, 22:26, :3]
         yield Figure(f"black {shader.name.lower()} body in uniform light", "light from its middle", float(inner.max()), 0.0)
 
 

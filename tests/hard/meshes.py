@@ -119,7 +119,7 @@ def coplanar_overlap() -> Iterator[Figure]:
             pictures.append(
                 render(scenes.build([mesh], [(0, scenes.placed((0, 0, 0)), 0)], [material(base_color=0.5)], camera, sun, (0, 0, 0), (64, 36)), 8).mean
             )
-        yield Figure(f"two overlapping floors in one plane, {name}", "pixels that differ by more than 1 %", changed(*pictures), 0.0)
+        yield Figure(f"two overlapping floors in one plane, {name}", "pixels that differ by more than 1 %", changed(pictures[0], pictures[1]), 0.0)
 
 
 @case(GROUP)

@@ -69,7 +69,7 @@ def scaled_by_powers_of_two() -> Iterator[Figure]:
     reference = render(still_life(), 4).mean
     options = CullOptions(width=SIZE[0])
     states = analyze(still_life(), options).state
-    for exponent in (-20, -10, 10, 20):
+    for exponent in (-20, 20):
         scene = still_life(2.0**exponent)
         what = f"scene scaled by 2^{exponent} ({2.0**exponent:.0e})"
         yield Figure(what, "pixels that differ in any bit", changed(reference, render(scene, 4).mean, 0.0), 0.0)

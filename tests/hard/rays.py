@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -24,7 +25,7 @@ MILLION = 1_000_000
 
 
 @njit(nogil=True)
-def misses(tlas, origin, direction):
+def misses(tlas: Any, origin: Any, direction: Any) -> Any:
     """Rays of (n, 3) float32 that meet nothing."""
     ray = np.zeros(embree.RAY, np.float32)
     count = 0
@@ -138,7 +139,7 @@ def zero_components() -> Figure:
 
 
 @njit(nogil=True)
-def crossings(handle, counters, query, origin, direction, far):
+def crossings(handle: Any, counters: Any, query: Any, origin: Any, direction: Any, far: Any) -> Any:
     """Count all boxes that segments cross."""
     ray = np.zeros(embree.RAY, np.float32)
     for i in range(len(origin)):
@@ -242,7 +243,9 @@ def contact_shadow() -> Iterator[Figure]:
             flags = np.array([s.ALL_RAYS, s.ALL_RAYS & ~1], np.uint8)
             sun = lamp(s.LightKind.SUN, power=3)
             sun["axis_z"] = turn[:, 2]
-            scene = scenes.build([scenes.quad()], [(0, transform, 0), (0, above, 0)], [material()], camera, sun, (0, 0, 0), (32, 32), flags=flags)
+            scene = scenes.build(
+                [scenes.quad()], [(0, transform, 0), (0, above, 0)], [material()], camera, sun, (0, 0, 0), (32, 32), s.PathLimits(total=0), flags
+            )
             lit = float((render(scene, 4).mean[..., 0] > 0).mean())
             limit, why = (
                 (0.0, "")
