@@ -15,6 +15,8 @@ from .errors import InputError
 from .film import LUMINANCE
 from .scene import F32, F64, I32, I64
 
+ENTRY_BYTES = 150.0  # of a TLAS entry: 64 bytes of Embree's leaf, 52 of ours, and its share of the inner nodes
+
 
 @dataclass(frozen=True)
 class Budget:
@@ -68,10 +70,29 @@ def _greedy(order, weights, mean_bound, tile_bound):
     return cull, sums
 
 
-def saved_cost(mesh: I32, bytes_of: I64) -> F64:
-    """Bytes that culling each of A instances saves: its TLAS entry, and its share of the BLAS that it shares with the others of the A. (A,) float64."""
-    users = np.bincount(mesh, minlength=len(bytes_of))
-    return 150.0 + bytes_of[mesh] / users[mesh]  # a TLAS entry: 64 bytes of Embree's leaf, 52 of ours, and its share of the inner nodes
+@dataclass(frozen=True)
+class Savings:
+    """What culling of A TLAS entries saves.
+
+    mesh: (A,) int32; bytes_of: (M,) int64, of each BLAS; share: (A,) float64 bytes that an entry saves, its share of the BLAS that it has in common with others
+    of the A included.
+    """
+
+    mesh: I32
+    bytes_of: I64
+    share: F64
+
+    @staticmethod
+    def among(mesh: I32, bytes_of: I64, reluctance: F64 | float = 1.0) -> Savings:
+        """For entries with these meshes. reluctance: (A,), divides the share of those that are rather to stay."""
+        users = np.bincount(mesh, minlength=len(bytes_of))
+        return Savings(mesh, bytes_of, (ENTRY_BYTES + bytes_of[mesh] / users[mesh]) / reluctance)
+
+    def of(self, cull: np.ndarray) -> float:
+        """Bytes saved by culling all of cull (A,) bool: a BLAS goes when the last of its users does."""
+        stay = np.unique(self.mesh[~cull])
+        go = np.setdiff1d(self.mesh, stay)
+        return ENTRY_BYTES * float(np.count_nonzero(cull)) + float(self.bytes_of[go].sum())
 
 
 def select(weights: F64, saved: F64, mean_bound: float, tile_bound: float, unseen: float = 0.0) -> Selection:
@@ -101,13 +122,3 @@ def tile_means(picture: F32, columns: int, rows: int) -> F64:
     tile = y[:, None] * columns + x[None, :]
     sums = np.bincount(tile.ravel(), luminance.ravel(), rows * columns)
     return sums / np.maximum(np.bincount(tile.ravel(), minlength=rows * columns), 1)
-
-
-def change(full: F32, culled: F32, columns: int, rows: int) -> tuple[float, float]:
-    """Relative change of a picture against the full one, traced with the same random numbers: mean over tiles, and of the worst tile.
-
-    Dark tiles are judged against a hundredth of the mean, as the weights are.
-    """
-    a, b = tile_means(full, columns, rows), tile_means(culled, columns, rows)
-    relative = np.abs(b - a) / np.maximum(a, max(0.01 * a.mean(), 1e-30))
-    return float(relative.mean()), float(relative.max())

@@ -11,6 +11,7 @@ from .scene import F64, I32, I64, RAY_TYPES
 
 COLUMNS, ROWS = 16, 9  # coarse tiles of the picture
 TILES = COLUMNS * ROWS
+DARK = 0.01  # of the mean luminance: darker tiles are judged against this, below which no display shows a change
 _FIXED = float(1 << 20)  # units of fixed point to the picture's mean luminance
 
 
@@ -40,10 +41,10 @@ class Weights:
     def relative(self) -> F64:
         """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64.
 
-        Dark tiles are judged against a hundredth of the mean, below which no display shows a change.
+        Tiles darker than DARK times the mean are judged against that.
         """
         total = self.total.astype(np.float64)
-        return self.light / np.maximum(total, max(0.01 * total.mean(), 1.0))
+        return self.light / np.maximum(total, max(DARK * total.mean(), 1.0))
 
 
 @dataclass

@@ -25,7 +25,7 @@ from .film import LUMINANCE, Picture
 from .hitboxes import Hitboxes
 from .path_log import PathLog
 from .placing import LARGEST
-from .progress import Progress, silent
+from .progress import Progress, part, silent
 from .regions import Cut, Regions
 from .scene import F32, I32, I64, U8, RayType, Scene
 from .tlas import Tlas
@@ -248,10 +248,11 @@ class Loop:
         Returns feedback and the mean picture.
         """
         first_sample, self.next_sample = self.next_sample, self.next_sample + samples
-        return self._counted(tlas, samples, first_sample, boxes, weights, progress, size or self.size)
+        return self._counted(self.prepared, tlas, samples, first_sample, boxes, weights, progress, size or self.size)
 
     def _counted(
         self,
+        prepared: Prepared,
         tlas: Tlas,
         samples: int,
         first_sample: int,
@@ -264,20 +265,24 @@ class Loop:
         """Feedback and mean picture of the samples from first_sample on."""
         start = time.perf_counter()
         feedback = Feedback.zeros(len(self.scene.instances), boxes, weights)
-        picture = self._trace(self.prepared, tlas, samples, first_sample, feedback, progress, size, log)
+        picture = self._trace(prepared, tlas, samples, first_sample, feedback, progress, size, log)
         self.paths += picture.paths
         self.rays += picture.rays
         feedback.paths = picture.paths
         self.timer.add("trace_s", start)
         return feedback, picture.mean
 
-    def measure(self, tlas: Tlas | None = None, boxes: Hitboxes | None = None, progress: Progress = silent) -> Measurement:
-        """Hits and weights of the instances in tlas (default: the active ones), by the number of paths per pixel that the options ask for."""
-        tlas = tlas or self.build(self.active)
+    def measure(self, tlas: Tlas | None = None, progress: Progress = silent) -> Measurement:
+        """Hits and weights of the instances in tlas (default: the active ones), by the number of paths per pixel that the options ask for.
+
+        Emitters that are not built give no light: it would come through walls that are not built either.
+        """
+        tlas = self.build(self.active, progress) if tlas is None else tlas
+        built = np.zeros(len(self.active), bool)
+        built[tlas.ids] = True
         weights = Weights.zeros(len(self.active), tlas.ids, self.ambient)
         log = PathLog.zeros(self.size[1], self.size[0], self.samples)
-        feedback, picture = self._counted(tlas, self.samples, 0, boxes, weights, progress, self.size, log)
-        self.ambient = _mean_luminance(picture)
+        feedback, _ = self._counted(self._dark_but(built), tlas, self.samples, 0, None, weights, progress, self.size, log)
         return Measurement(tlas, feedback, weights, log, 0, self.prepared.emissive)
 
     def trace_again(self, keep: np.ndarray, first_sample: int, samples: int, progress: Progress = silent) -> F32:
@@ -306,27 +311,6 @@ class Loop:
         """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""
         flags = np.where(keep, self.scene.instances.flags, np.uint8(0))
         return self.prepared.with_instances(dataclasses.replace(self.scene.instances, flags=flags))
-
-    def settle(self, progress: Progress = silent) -> Measurement:
-        """A measurement of what is built: the cold start's last, or one more where that met emitters that were not.
-
-        Emitters that are not built shine through walls that are not built either; a picture with their light is none to compare others with.
-        """
-        if self.measured is not None:
-            unbuilt = self.measured.emissive[self.measured.met[self.measured.emissive] > 0]
-            unbuilt = np.setdiff1d(unbuilt, self.measured.tlas.ids)
-            if not len(unbuilt):
-                return self.measured
-            self.active[unbuilt] = True
-        tlas = self.build(self.active, progress)
-        built = np.zeros(len(self.active), bool)
-        built[tlas.ids] = True
-        lit, self.prepared = self.prepared, self._dark_but(built)
-        try:
-            self.measured = self.measure(tlas, progress=progress)
-        finally:
-            self.prepared = lit
-        return self.measured
 
     def _trace(
         self,
@@ -361,11 +345,12 @@ class Loop:
         return picture
 
     def run(self, progress: Progress = silent) -> None:
-        """Rounds until no box is asked for any more, the last of which leaves `measured`. Where much is unknown coarse ones, of few paths, come first."""
+        """Rounds until no box is asked for any more, then a measurement. Where much is unknown coarse rounds, of few paths, come first."""
         self._notice()
         coarse_size = (max(self.size[0] // 2, 1), max(self.size[1] // 2, 1))
         coarse = self.cold
         self.cold = False
+        tlas = None
         while self.rounds < self.options.max_iterations:
             self.rounds += 1
             progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.active.sum()):,} of {len(self.active):,} instances active")
@@ -382,11 +367,14 @@ class Loop:
                 self.ambient = _mean_luminance(picture)
                 coarse = self._ask(cut, feedback) > max(self.options.settled, SETTLED)
             else:
-                self.measured = self.measure(tlas, boxes)
-                asked = self._ask(cut, self.measured.feedback)
-                if asked <= self.options.settled:
-                    return
+                feedback, picture = self.trace(tlas, max(1, self.samples // 2), boxes)
+                self.ambient = _mean_luminance(picture)
+                asked = self._ask(cut, feedback)
                 coarse = asked >= UNKNOWN
+                if asked <= self.options.settled and self.rounds < self.options.max_iterations:
+                    tlas = None  # with the few that were asked for at last
+                    break
+        self.measured = self.measure(tlas, part(progress, 0.5, 1.0))
 
     def _notice(self) -> None:
         """Activate large instances that have come into view since the last frame: the first frame with them is to show them (latency mitigation)."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from .budget import Budget, saved_cost, select
+from .budget import ENTRY_BYTES, Budget, Savings, select
 from .judge import Judge
 from .progress import Progress, silent
 from .scene import F64, I32
@@ -25,7 +25,7 @@ BATCHES = 1  # of the judge's, for the search
 def retained(judge: Judge, keep: np.ndarray) -> float:
     """Bytes that keep (N,) bool takes: its BLASes, each once, and its TLAS entries."""
     mesh = judge.scene.instances.mesh
-    return float(judge.loop.blas.bytes_of[np.unique(mesh[keep])].sum() + 150.0 * keep.sum())
+    return float(judge.loop.blas.bytes_of[np.unique(mesh[keep])].sum() + ENTRY_BYTES * keep.sum())
 
 
 def search(
@@ -36,7 +36,7 @@ def search(
     worth (A, T), ids (A,): `Judge.exhaustive_weights`. proposals: sets (N,) bool to start from too.
     """
     count = len(judge.scene.instances)
-    saved = saved_cost(judge.scene.instances.mesh[ids], judge.loop.blas.bytes_of)
+    saved = Savings.among(judge.scene.instances.mesh[ids], judge.loop.blas.bytes_of).share
     met = np.zeros(count, bool)
     met[ids] = True
     found: list[np.ndarray] = [met]

@@ -53,8 +53,10 @@ def test_a_zero_budget_keeps_all_that_is_worth_anything() -> None:
 
 
 def test_a_shared_blas_is_counted_once() -> None:
-    saved = budget.saved_cost(np.array([0, 0, 0, 0, 1]), np.array([4000, 1000]))
-    assert saved[:4].sum() - 4 * (saved[4] - 1000) == pytest.approx(4000)
+    savings = budget.Savings.among(np.array([0, 0, 0, 0, 1]), np.array([4000, 1000]))
+    assert savings.share.sum() == pytest.approx(5000 + 5 * budget.ENTRY_BYTES)
+    assert savings.of(np.array([True, True, True, False, True])) == pytest.approx(1000 + 4 * budget.ENTRY_BYTES)
+    assert savings.of(np.array([True, True, True, True, False])) == pytest.approx(4000 + 4 * budget.ENTRY_BYTES)
 
 
 def test_unseen_share_is_what_was_missed() -> None:
@@ -68,12 +70,3 @@ def test_unseen_share_is_what_was_missed() -> None:
         hits = rng.multinomial(n, probability)
         errors.append(budget.unseen_share(hits, n) - probability[hits == 0].sum())
     assert abs(np.mean(errors)) < 4 * np.std(errors) / np.sqrt(50) + 1 / n
-
-
-def test_change_of_a_picture() -> None:
-    full = np.ones((18, 32, 4), np.float32)
-    culled = full.copy()
-    culled[:2, :2] = 0.9  # one of 16 x 9 tiles
-    mean, worst = budget.change(full, culled, 16, 9)
-    assert worst == pytest.approx(0.1, rel=1e-5)
-    assert mean == pytest.approx(0.1 / 144, rel=1e-5)

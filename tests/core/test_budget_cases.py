@@ -101,10 +101,11 @@ CASES = [shadow_only, mirror_only, glass_only, sky_blocker, bounce_only, unseen_
 def effect(scene: s.Scene) -> tuple[float, float]:
     """By how much the picture changes without the subject, mean and worst tile: a paired trace with many paths, which no analysis uses."""
     loop = Loop(scene, CullOptions(seed=99, width=scene.film.width))
+    first = loop.next_sample
     _, full = loop.trace(loop.build(loop.exists), 64)
     keep = loop.exists.copy()
     keep[SUBJECT] = False
-    a, b = (tile_means(picture, COLUMNS, ROWS) for picture in (full, loop.trace_again(keep, 0, 64)))
+    a, b = (tile_means(picture, COLUMNS, ROWS) for picture in (full, loop.trace_again(keep, first, 64)))
     relative = np.abs(b - a) / np.maximum(a, 0.01 * a.mean())
     return float(relative.mean()), float(relative.max())
 

@@ -185,7 +185,7 @@ def test_within_a_time_budget_states_are_pending_and_resolve(budget_bytes: int) 
 def test_the_most_valuable_stay_where_bytes_are_short() -> None:
     scene = frame_of(0)
     free = Shot(OPTIONS).advance(scene)
-    limit = int(0.5 * free.stats["blas_held_bytes"])
+    limit = int(0.5 * free.stats["blas_bytes"])
     shot = Shot(dataclasses.replace(OPTIONS, blas_budget_bytes=limit))
     for k in range(6):
         result = shot.advance(scene, CAMERA if k else None)

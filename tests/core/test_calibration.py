@@ -1,0 +1,147 @@
+"""Tracing again only what can differ: exact for every path, and good enough a judge to spend a budget by."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from lipac.core.budget import ENTRY_BYTES, Budget, Savings
+from lipac.core.calibration import CONFIDENCE, Base, Search
+from lipac.core.culling import CullOptions
+from lipac.core.feedback import COLUMNS, ROWS, TILES
+from lipac.core.loop import Loop, Measurement
+from lipac.core.path_log import RECORD, PathLog
+
+from .test_loop import stage
+
+
+@pytest.fixture(scope="module")
+def measured() -> tuple[Loop, Measurement]:
+    loop = Loop(stage(), CullOptions(width=96, paths=4))
+    loop.run()
+    assert loop.measured is not None
+    return loop, loop.measured
+
+
+def cull_some(loop: Loop, m: Measurement, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    cull = np.random.default_rng(seed).random(len(m.tlas.ids)) < 0.4
+    keep = np.zeros(len(loop.active), bool)
+    keep[m.tlas.ids[~cull]] = True
+    return cull, keep
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_paths_that_met_nothing_culled_do_not_change(measured: tuple[Loop, Measurement], seed: int) -> None:
+    """Bit for bit; and those that are traced again alone come out as in a trace of all."""
+    loop, m = measured
+    cull, keep = cull_some(loop, m, seed)
+    only = m.log.affected(cull)
+    assert 0 < only.mean() < 1
+    everything = loop.luminance_without(m, keep, np.ones_like(only))
+    np.testing.assert_array_equal(everything[only == 0], m.log.luminance[only == 0])
+    np.testing.assert_array_equal(loop.luminance_without(m, keep, only)[only == 1], everything[only == 1])
+    assert (everything[only == 1] != m.log.luminance[only == 1]).any()
+
+
+def test_affected_against_a_plain_search() -> None:
+    rng = np.random.default_rng(0)
+    log = PathLog.zeros(3, 4, 5)
+    log.records[..., 1:] = rng.integers(0, 40, log.records[..., 1:].shape)
+    log.records[..., 0] = rng.integers(0, RECORD + 1, log.luminance.shape)
+    culled = rng.random(40) < 0.1
+    records = log.records.reshape(-1, RECORD)
+    expected = [count == RECORD or culled[list(met[:count])].any() for count, met in zip(records[:, 0], records[:, 1:], strict=True)]
+    assert log.affected(culled).ravel().tolist() == [int(x) for x in expected]
+
+
+def test_change_is_that_of_the_picture(measured: tuple[Loop, Measurement]) -> None:
+    """By tiles, against the sums of whole pictures: equal but for float32 luminances, 1e-6 of the tile."""
+    loop, m = measured
+    base = Base(m.log)
+    cull, keep = cull_some(loop, m, 1)
+    only = m.log.affected(cull)
+    trial = base.compare(cull, only, loop.luminance_without(m, keep, only))
+    height, width, samples = only.shape
+    y, x = np.arange(height) * ROWS // height, np.arange(width) * COLUMNS // width
+    tile = np.repeat((y[:, None] * COLUMNS + x[None, :]).ravel(), samples)
+    a = np.bincount(tile, m.log.luminance.ravel(), TILES)
+    b = np.bincount(tile, loop.luminance_without(m, keep, np.ones_like(only)).ravel(), TILES)
+    np.testing.assert_allclose(trial.change, (b - a) / base.light, atol=1e-6)
+    np.testing.assert_allclose(trial.entries.sum(axis=0), trial.change, atol=1e-9)  # no record is over-full here
+    assert (trial.entries[~cull] == 0).all()
+
+
+def test_deviation_is_that_of_repeated_measurements() -> None:
+    """The deviation that one measurement states, against the scatter of many: their ratio of variances, summed over tiles, within a quarter
+    (40 repetitions of 144 tiles, some of them correlated by nothing: the scatter's own error is a few per cent)."""
+    rng = np.random.default_rng(3)
+    stated, changes = [], []
+    for _ in range(40):
+        log = PathLog.zeros(18, 32, 64)
+        log.luminance[:] = 1.0
+        other = log.luminance.copy()
+        affected = rng.random(other.shape) < 0.05
+        other[affected] = rng.exponential(2.0, int(affected.sum()))
+        trial = Base(log).compare(np.zeros(1, bool), affected.astype(np.uint8), other)
+        stated.append(trial.deviation**2)
+        changes.append(trial.change)
+    assert np.mean(stated) == pytest.approx(np.var(changes, axis=0, ddof=1).mean(), rel=0.25)
+
+
+class Additive:
+    """A picture of one path per pixel that meets one entry each, which hides it where it is culled."""
+
+    def __init__(self, entries: int) -> None:
+        rng = np.random.default_rng(5)
+        self.log = PathLog.zeros(36, 64, 4)
+        self.log.luminance[:] = 1.0
+        self.log.records[..., 0], self.log.records[..., 1] = 1, rng.integers(0, entries, self.log.luminance.shape)
+        self.log.records[..., 1][rng.random(self.log.luminance.shape) < 0.9] = entries - 1  # most paths meet the last one
+        self.calls = 0
+
+    def without(self, cull: np.ndarray, only: np.ndarray) -> np.ndarray:
+        self.calls += 1
+        return np.where(only == 1, np.float32(0.9), self.log.luminance)
+
+    def excess(self, cull: np.ndarray, budget: Budget) -> float:
+        """Of the true change, without margin."""
+        only = self.log.affected(cull)
+        trial = Base(self.log).compare(cull, only, self.without(cull, only))
+        return max(trial.mean / budget.mean, float(np.abs(trial.change).max()) / budget.worst)
+
+
+def test_search_spends_the_budget_and_no_more() -> None:
+    """Ten entries that are predicted to be worth ten times what they are: the search finds out, and comes near the best of all 1,024 sets."""
+    world = Additive(10)
+    budget = Budget(0.006, 0.03)
+    savings = Savings.among(np.arange(10, dtype=np.int32), np.full(10, 1000))
+    worth = np.zeros((10, TILES))
+    for entry in range(10):
+        only = world.log.affected(np.arange(10) == entry)
+        worth[entry] = np.bincount(Base(world.log).tile, only.ravel(), TILES) / Base(world.log).light
+    chosen = Search(Base(world.log), world.without, worth, savings, budget).run()
+    assert world.excess(chosen.cull, budget) <= 1
+    assert chosen.trial.worst >= np.abs(chosen.trial.change).max() + CONFIDENCE * chosen.trial.deviation.min()
+    most = max(sum(s) for s in itertools.product((0, 1), repeat=10) if world.excess(np.array(s, bool), budget) <= 1)
+    assert most - 2 <= chosen.cull.sum() <= most
+    assert savings.of(chosen.cull) == pytest.approx(chosen.cull.sum() * (1000 + ENTRY_BYTES))
+
+
+def test_what_must_stay_stays_and_paths_are_limited() -> None:
+    world = Additive(6)
+    worth = np.full((6, TILES), 1e-6)
+    worth[2] = np.inf
+    search = Search(Base(world.log), world.without, worth, Savings.among(np.zeros(6, np.int32), np.array([100])), Budget(1.0, 1.0))
+    chosen = search.run()
+    assert not chosen.cull[2]
+    assert chosen.cull.sum() >= 1
+    assert search.traced <= world.log.luminance.size
+
+
+def test_a_budget_of_nothing_culls_what_no_path_met() -> None:
+    world = Additive(4)
+    worth = np.vstack([np.full((4, TILES), 1e-3), np.zeros((1, TILES))])  # the fifth is met by no path
+    chosen = Search(Base(world.log), world.without, worth, Savings.among(np.zeros(5, np.int32), np.array([100])), Budget(0.0, 0.0)).run()
+    assert chosen.cull.tolist() == [False, False, False, False, True]
