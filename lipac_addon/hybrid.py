@@ -176,6 +176,8 @@ def render_hybrid(
     if cancelled():
         raise Cancelled
     result, light, layers = tracing.result, tracing.light(), tracing.layers()
+    if options.primary == "raster" and not result.active.any():  # nothing to meet: EEVEE's own sky and probes know more than paths that miss everything
+        return _raster_only(scene, options, cull, stem, line, result)
     with line.stage("combine"):
         picture = _combine(light, passes, options.denoise, threads, layers)
         with muted():
@@ -192,7 +194,9 @@ def render_hybrid(
     return result, figures
 
 
-def _raster_only(scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, line: Timeline) -> tuple[CullingResult, dict[str, Any]]:
+def _raster_only(
+    scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, line: Timeline, result: CullingResult | None = None
+) -> tuple[CullingResult, dict[str, Any]]:
     """No path at all: EEVEE's picture with all the light that it makes itself. Nothing is met, so everything is culled."""
     from ..core.loop import Loop
 
@@ -201,7 +205,8 @@ def _raster_only(scene: Scene, options: HybridOptions, cull: CullOptions, stem: 
     opengl.require()
     n = len(scene.instances)
     with ThreadPoolExecutor(1) as worker:
-        future = worker.submit(lambda: Loop(scene, cull).result(np.zeros(n, bool), np.zeros(n, np.float32), np.zeros((n, len(RayType)), np.int64)))
+        nothing = np.zeros(n, bool), np.zeros(n, np.float32), np.zeros((n, len(RayType)), np.int64)
+        future = worker.submit(lambda: result or Loop(scene, cull).result(*nothing))
         with line.stage("EEVEE"):
             passes = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False)
         result = future.result()

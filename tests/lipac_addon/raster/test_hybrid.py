@@ -1,0 +1,209 @@
+"""The hybrid renderer by its command: against Cycles, against EEVEE alone, and what it leaves behind."""
+
+import json
+import os
+import subprocess
+import sys
+
+import bpy
+import numpy as np
+import pytest
+
+from lipac.core.culling import CullOptions
+from lipac.core.loop import Loop
+from lipac.core.metrics import relative_mse
+from lipac.lipac_addon.engines import render_blender
+from lipac.lipac_addon.extract import extract_frame
+from lipac.lipac_addon.hybrid import HybridOptions, render_hybrid
+from lipac.lipac_addon.pictures import read_picture
+from lipac.lipac_addon.raster import opengl
+from lipac.lipac_addon.raster.denoise import denoise
+from lipac.lipac_addon.raster.passes import render_passes
+from lipac.scripts.lipac import main
+
+SMALL = ["--resolution", "64x36", "--quiet"]
+FAST = [*SMALL, "--engine", "hybrid", "--raster-samples", "2"]
+needs_opengl = pytest.mark.skipif(not opengl.has_opengl(), reason=opengl.NO_OPENGL)
+
+
+def read_layers(path):
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {n: c.pixels[::-1] for part in file.parts for n, c in part.channels.items()}
+    names = {n.rsplit(".", 1)[0].partition(".")[2] for n in channels}
+    return {n: np.stack([channels[c] for c in (f"Hybrid.{n}.{x}" for x in "VRGBA") if c in channels], axis=2).squeeze() for n in names}
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory):
+    """A ground, a slab that keeps the sun off a part of it, a red wall that lends it its colour, all plain; its path."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_plane_add(size=14)
+    bpy.ops.mesh.primitive_cube_add(size=1, location=(0, 0, 2.5))
+    bpy.context.object.name, bpy.context.object.scale = "slab", (3, 3, 0.2)
+    bpy.ops.mesh.primitive_cube_add(size=1, location=(3.2, 0, 1.2))
+    bpy.context.object.scale = (0.2, 6, 2.4)
+    material = bpy.data.materials.new("red")
+    material.use_nodes = True
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.8, 0.1, 0.1, 1)
+    bpy.context.object.data.materials.append(material)
+    bpy.ops.object.light_add(type="SUN", rotation=(0.1, -0.2, 0))
+    bpy.context.object.data.energy = 3
+    bpy.ops.object.camera_add(location=(0, -9, 4), rotation=(1.2, 0, 0))
+    scene.camera = bpy.context.object
+    scene.world = bpy.data.worlds.new("World")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.3, 0.3, 0.3, 1)
+    scene.render.engine, scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = "CYCLES", 64, 36, 100
+    scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = False, False
+    path = tmp_path_factory.mktemp("scene") / "slab.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+@pytest.fixture(scope="module")
+def pictures(scene_file, tmp_path_factory):
+    """Of that scene: Cycles (converged), EEVEE, and hybrid with nothing, something and everything culled; and the folder."""
+    folder = tmp_path_factory.mktemp("pictures")
+    bpy.ops.wm.open_mainfile(filepath=str(scene_file))
+    render_blender("cycles", folder / "cycles", samples=256)
+    render_blender("eevee", folder / "eevee", samples=2)
+    out = {name: read_picture(folder / f"{name}.exr")[..., :3] for name in ("cycles", "eevee")}
+    for name, options in {"full": ["--cull", "none"], "some": ["--max-error", "0.03"], "none": ["--min-share", "1e9"]}.items():
+        assert main(["render", str(scene_file), "-o", str(folder / name), *FAST, "--samples", "32", *options]) == 0
+        out[name] = read_picture(folder / name / "frame_0001.exr")[..., :3]
+    return out, folder
+
+
+@needs_opengl
+def test_as_cycles_where_nothing_is_culled(pictures):
+    """The mean is Cycles' own, to what 32 paths per pixel of 2304 pixels leave of noise: less than 0.2 % of it, taken as five times that. Denoised pixels may
+    be off by more, at edges above all; relMSE is that of a good picture."""
+    out, _ = pictures
+    assert abs(out["full"].mean() / out["cycles"].mean() - 1) < 0.01
+    assert relative_mse(out["cycles"], out["full"]) < 0.25 * relative_mse(out["cycles"], out["eevee"])
+
+
+@needs_opengl
+def test_never_below_the_raster(pictures):
+    """Hybrid is no further from the truth than EEVEE, also with everything culled: then it is EEVEE's picture."""
+    out, folder = pictures
+    base = relative_mse(out["cycles"], out["eevee"])
+    for name in ("full", "some", "none"):
+        assert relative_mse(out["cycles"], out[name]) <= base * (1 + 1e-6)
+    frames = {name: json.loads((folder / name / "report.json").read_text())["frames"][0] for name in ("some", "none")}
+    assert frames["none"]["active"] == frames["none"]["blas_bytes"] == 0
+    assert 0 < frames["some"]["active"] <= frames["some"]["instances"]
+
+
+@needs_opengl
+@pytest.mark.parametrize("primary", ["raster", "traced"])
+def test_culled_blocker(scene_file, tmp_path, primary):
+    """A slab that is culled by hand is still seen, and keeps its shadow by the raster's shadow maps; where there is no raster, the light comes through."""
+    bpy.ops.wm.open_mainfile(filepath=str(scene_file))
+    extraction = extract_frame(bpy.context.scene)
+    slab = extraction.keys.names.index("slab")
+    kept = extraction.keys.records["object"] != slab
+    assert (~kept).sum() == 1
+    bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y = 64, 36
+
+    def decide(scene):
+        return Loop(scene, CullOptions()).result(kept, np.zeros(len(kept), np.float32), np.zeros((len(kept), 5), np.int64))
+
+    options = HybridOptions(primary=primary, raster_samples=2)
+    render_hybrid(extraction.scene, options, CullOptions(), tmp_path / "a", 16, decide=decide)
+    layers = read_layers(tmp_path / "a_layers.exr")
+    lamps, doubt = layers["Traced Lamps"].sum(axis=2), layers["Shadow Doubt"]
+    ground = (layers["Normal"][..., 2] > 0.999) & (layers["Culling State"] == 1)
+    lit = np.median(lamps[ground])
+    shadow = (ground & (layers["Shadow"] < 0.01)) if primary == "raster" else ground
+    if primary == "raster":
+        assert shadow.sum() > 50
+        assert lamps[shadow].max() < 0.02 * lit
+    else:
+        assert lamps[ground].min() > 0.2 * lit and doubt.min() == 1
+    assert (layers["Culling State"] == 0).sum() > 50  # the slab, and the sky
+
+
+@needs_opengl
+def test_report_has_a_timeline(pictures):
+    _, folder = pictures
+    frame = json.loads((folder / "some" / "report.json").read_text())["frames"][0]
+    by_stage = {stage["stage"]: stage for stage in frame["timeline"]}
+    assert {"first hits", "EEVEE", "analysis", "building", "tracing", "combine"} == set(by_stage)
+    assert by_stage["analysis"]["start_s"] < by_stage["EEVEE"]["end_s"]  # beside each other
+    assert 0 < frame["overlap_s"] <= by_stage["EEVEE"]["end_s"]
+    assert frame["raster_s"] > 0
+
+
+@needs_opengl
+def test_layers_open_in_blender(pictures):
+    """Blender sees a multilayer picture with the passes by name, and its compositor gets their pixels."""
+    out, folder = pictures
+    image = bpy.data.images.load(str(folder / "some" / "frame_0001_layers.exr"))
+    assert image.size is not None  # asking for it loads the file
+    assert image.type == "MULTILAYER"
+    tree = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
+    node = tree.nodes.new("CompositorNodeImage")
+    node.image = image
+    names = {o.name for o in node.outputs}
+    wanted = {"Combined", "Raster Direct", "Traced Indirect", "Traced Lamps", "Shadow", "Hit Feedback", "Culling State", "Denoised"}
+    assert wanted <= names
+    layers = read_layers(folder / "some" / "frame_0001_layers.exr")
+    np.testing.assert_allclose(layers["Combined"][..., :3], out["some"], atol=1e-3)
+    assert (layers["Traced Indirect"] >= 0).all() and layers["Traced Indirect"].mean() > 0
+
+
+@needs_opengl
+def test_passes_hold_lamps_alone(boxes):
+    """What EEVEE calls direct is the sun's light: gone without the sun, though the sky shines. Settings are as before."""
+    before = [(k, str(getattr(boxes.eevee, k))) for k in ("taa_render_samples", "use_raytracing", "light_threshold")]
+    lit = render_passes(boxes, 1)
+    sun = next(o for o in boxes.objects if o.type == "LIGHT")
+    sun.hide_render = True
+    dark = render_passes(boxes, 1)
+    assert lit.direct.mean() > 0.05
+    assert dark.direct.max() < 1e-3
+    assert lit.shadow.min() < 0.1 and lit.shadow.max() == 1
+    assert lit.diffuse_color.max() == pytest.approx(0.8, abs=0.05)  # the diffuse lobe alone
+    assert [(k, str(getattr(boxes.eevee, k))) for k, _ in before] == before
+    assert not boxes.view_layers[0].use_pass_shadow
+
+
+@needs_opengl
+def test_nothing_traced(boxes_file, tmp_path):
+    """EEVEE's own picture, with all culled."""
+    assert main(["render", str(boxes_file), "-o", str(tmp_path), *FAST, "--samples", "4", "--gi", "none"]) == 0
+    frame = json.loads((tmp_path / "report.json").read_text())["frames"][0]
+    assert frame["render_rays"] == frame["active"] == 0
+    assert read_picture(tmp_path / "frame_0001.exr")[..., :3].mean() > 0.01
+
+
+def test_no_opengl(boxes_file, tmp_path):
+    """One line says what to install, and what works without."""
+    blind = {**os.environ, "__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path)}
+    base = [sys.executable, "-m", "lipac.scripts.lipac", "render", str(boxes_file), *SMALL, "--engine", "hybrid", "--samples", "2", "--cull", "none"]
+    if sys.platform != "linux":
+        pytest.skip("OpenGL is always there")
+    failed = subprocess.run([*base, "-o", str(tmp_path / "a")], capture_output=True, text=True, check=False, env=blind)
+    assert failed.returncode == 2
+    assert len(failed.stderr.strip().splitlines()) == 1
+    assert "apt install libegl1" in failed.stderr and "--primary traced" in failed.stderr
+    traced = subprocess.run([*base, "-o", str(tmp_path / "b"), "--primary", "traced"], capture_output=True, text=True, check=False, env=blind)
+    assert traced.returncode == 0, traced.stderr
+    assert read_picture(tmp_path / "b" / "frame_0001.exr")[..., :3].mean() > 0.05
+
+
+def test_denoise():
+    """Noise of known size on a ramp with an edge: what is left is a small part of it, the mean stays, and the edge that a guide shows stays sharp."""
+    rng = np.random.default_rng(1)
+    clean = np.repeat(np.linspace(0.5, 1.0, 64, dtype=np.float32)[None, :, None], 64, axis=0).repeat(3, axis=2)
+    clean[:, 32:] *= 4
+    noisy = (clean * rng.exponential(1.0, clean.shape[:2])[..., None]).astype(np.float32)
+    albedo = np.where(np.arange(64)[None, :, None] < 32, np.float32(0.2), np.float32(0.8)).repeat(64, axis=0).repeat(3, axis=2)
+    smooth = denoise(noisy, albedo, np.zeros_like(albedo))
+    assert np.abs(smooth - clean).mean() < 0.2 * np.abs(noisy - clean).mean()
+    assert smooth.mean() == pytest.approx(clean.mean(), rel=0.05)  # 3 standard errors of the noise's mean: 3 / 64
+    assert smooth[:, 33].mean() > 2.5 * smooth[:, 30].mean()
