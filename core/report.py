@@ -143,10 +143,10 @@ class Report:
         found = _found(folder)
         return [] if found is None else self._differences(found)
 
-    def finished(self, folder: Path) -> set[int]:
-        """Numbers of the frames that the report in a folder has, where it is of the same kind."""
+    def finished(self, folder: Path) -> set[int] | None:
+        """Numbers of the frames that the report in a folder has; None where there is none of the same kind."""
         found = _found(folder)
-        return set() if found is None or self._differences(found) else {frame["frame"] for frame in found["frames"]}
+        return None if found is None or self._differences(found) else {frame["frame"] for frame in found["frames"]}
 
     def write(self, folder: Path) -> None:
         """Write folder/report.json: the frames that it has already, where it is of the same kind, and this command's."""

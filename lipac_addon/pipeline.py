@@ -104,8 +104,9 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     Raises Cancelled soon after cancelled() says so.
     """
     (job.folder / "states").mkdir(parents=True, exist_ok=True)
-    finished = {frame for frame in report.finished(job.folder) if job.is_finished(frame)} if job.resume else set()
-    _sweep(job)
+    reported = report.finished(job.folder) if job.resume else None
+    finished = {frame for frame in reported or () if job.is_finished(frame)}
+    _sweep(job, keep_analyses=reported is not None)
     report.write(job.folder)
     with muted():
         writeback.restore()
@@ -119,11 +120,13 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
             writeback.restore()
 
 
-def _sweep(job: Job) -> None:
-    """Remove what a command that was killed left of files of these frames that it had begun to write."""
+def _sweep(job: Job, keep_analyses: bool) -> None:
+    """Remove what a command that was killed left of files of these frames that it had begun to write; analyses for shots too, where they are not to be kept."""
     for frame in job.frames:
         for path in (job.states(frame), job.analysis(frame), *job.pictures(frame)):
             path.with_name(f".{path.stem}.part{path.suffix}").unlink(missing_ok=True)
+        if not keep_analyses:
+            job.analysis(frame).unlink(missing_ok=True)
 
 
 class Session:
@@ -205,7 +208,7 @@ def run_frame(session: Session, frame: int, report: Report, progress: Progress =
         entry["render_s"] = render_path(extraction.scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled)
     elif job.engine in BLENDER_ENGINES:
         warnings = (*warnings, *write_back(np.asarray(result.state == State.CULLED), keys, entry))
-        del extraction, result
+        del extraction, result, keys
         if last:
             session.close()  # the render needs the memory
         gc.collect()
@@ -303,8 +306,7 @@ def _render_kept(session: Session, frame: int, active: np.ndarray, entry: dict[s
 def _analyse(job: Job, report: Report, progress: Progress, cancelled: Cancel) -> None:
     """Save what each frame needs by itself, for those that have not been looked at yet."""
     (job.folder / "analysis").mkdir(exist_ok=True)
-    known = {frame for frame in job.frames if job.resume and job.analysis(frame).exists() and not report.other_options(job.folder)}
-    todo = [frame for frame in job.frames if job.warm or frame not in known]
+    todo = [frame for frame in job.frames if job.warm or not job.analysis(frame).exists()]
     with Session(job) as session:
         for k, frame in enumerate(todo):
             within = part(progress, k / len(todo), (k + 1) / len(todo), f"frame {frame}: ")

@@ -26,11 +26,12 @@ class ExtractEngine(bpy.types.RenderEngine):
     bl_label = "LiPaC extraction"
     bl_use_eevee_viewport = False
     callback: ClassVar[Callable[[Any, bool], None] | None] = None
-    lipac_went_before = False
+    owner: ClassVar[object] = None  # whose callback it is
+    lipac_served: object = None  # whose it was last
 
     def render(self, depsgraph: Any) -> None:
         """Called by Blender, on the thread that started the render when in background. An engine that Blender keeps has kept its graph."""
-        goes_on, self.lipac_went_before = self.lipac_went_before, True
+        goes_on, self.lipac_served = self.lipac_served is ExtractEngine.owner, ExtractEngine.owner
         if ExtractEngine.callback is not None:
             ExtractEngine.callback(depsgraph, goes_on)
 
@@ -141,14 +142,14 @@ class RenderGraph:
                 errors.append(error)
 
         with _some_camera(self.scene):
-            ExtractEngine.callback = call
+            ExtractEngine.callback, ExtractEngine.owner = call, self
             try:
                 bpy.ops.render.render(layer=self.layer, scene=self.scene.name)
             except RuntimeError as error:
                 if not errors:
                     raise InputError(f"the scene {self.scene.name!r} cannot be rendered: {str(error).strip()}") from error
             finally:
-                ExtractEngine.callback = None
+                ExtractEngine.callback = ExtractEngine.owner = None
         if errors:
             raise errors[0]
         if not results:

@@ -219,19 +219,18 @@ class Placer:
     def _placed(self) -> Placed:
         fresh, old = self._output.rows, self._before
         blocks, before, parts, at = [], [], [], 0
-        for block, known, taken in self._blocks:
+        for block, known, still in self._blocks:
             rows = None if known is None or old is None else old.rows[known.first : known.first + known.count]
-            if not taken:
-                own, at = fresh[at : at + block.count], at + block.count
-                taken = rows is not None and own.same(rows)  # placed again, and nothing came of it
-                rows = rows if taken else own
-            parts.append(rows)
+            own = fresh[at : at + (0 if still else block.count)]
+            at += len(own)
+            taken = still or (rows is not None and own.same(rows))  # placed again, and nothing came of it
+            parts.append(rows if taken else own)
             before.append((known, taken))
             block.first = blocks[-1].first + blocks[-1].count if blocks else 0
             blocks.append(block)
         count = sum(block.count for block in blocks)
-        still = all(taken and known is not None and known.first == block.first for block, (known, taken) in zip(blocks, before, strict=True))
-        if old is not None and still and len(old.rows) == count:
+        in_place = all(taken and known is not None and known.first == block.first for block, (known, taken) in zip(blocks, before, strict=True))
+        if old is not None and in_place and len(old.rows) == count:
             rows = old.rows
         else:
             rows = fresh[:at] if at == count else Rows.join([part for part in parts if part is not None])

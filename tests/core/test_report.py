@@ -113,7 +113,7 @@ def test_reports_of_parts_of_a_range_are_merged(tmp_path):
     assert [f["frame"] for f in data["frames"]] == [7]
     other = Report("b.blend", "5.2", "0.1", "light-paths", "cycles", 0, 1, {"samples": 4})
     assert other.other_options(tmp_path) == ["samples", "scene"]
-    assert other.finished(tmp_path) == set()
+    assert other.finished(tmp_path) is None
 
 
 def test_reports_by_processes_at_a_time(tmp_path):
@@ -122,14 +122,14 @@ def test_reports_by_processes_at_a_time(tmp_path):
     root = Path(__file__).parents[2]
     processes = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path), str(k)], cwd=root) for k in range(4)]
     assert [p.wait() for p in processes] == [0] * 4
-    assert report().finished(tmp_path) == set()
+    assert report().finished(tmp_path) is None
     assert [f["frame"] for f in json.loads((tmp_path / "report.json").read_text())["frames"]] == list(range(4))
 
 
 def test_a_damaged_report_counts_as_none(tmp_path):
     for text in ("", "[]", '{"schema": 1}', '{"schema": 1, "frames": ['):
         (tmp_path / "report.json").write_text(text)
-        assert (report().finished(tmp_path), report().other_options(tmp_path)) == (set(), [])
+        assert (report().finished(tmp_path), report().other_options(tmp_path)) == (None, [])
     assert filled(tmp_path, (1,))[1]["totals"]["frames"] == 1
 
 
