@@ -62,7 +62,8 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
 
     What each instance is worth alone does not say what many are worth together, nor what lies behind them: `calibration` traces without them and finds out.
 
-    Hysteresis over frames: what the last frame kept goes only where others would save options.hysteresis times less for the same change.
+    Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that uses up the budget or all but a factor of
+    options.hysteresis; else what it kept goes only where others would save so many times less for the same change.
     """
     measured = loop.measured or loop.measure()
     start = time.perf_counter()
@@ -79,7 +80,8 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
         keep[ids[~cull]] = True
         return loop.luminance_without(measured, keep, only)
 
-    search = Search(base, without, np.where(loop.pinned[ids, None], np.inf, worth), savings, budget, unseen)
+    before = None if loop.known is None else loop.known[ids] & ~loop.kept[ids]
+    search = Search(base, without, np.where(loop.pinned[ids, None], np.inf, worth), savings, budget, unseen, before, loop.options.hysteresis)
     chosen = search.run(progress)
     keep = loop.pinned.copy()
     keep[ids[~chosen.cull]] = True

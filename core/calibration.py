@@ -110,19 +110,25 @@ class Search:
         savings: Savings,
         budget: Budget,
         unseen: float = 0.0,
+        before: np.ndarray | None = None,
+        hysteresis: float = 1.0,
     ) -> None:
         """without: luminance of the paths (H, W, S) that its second argument marks, without the entries that its first, (A,) bool, culls.
 
         worth: (A, T) relative change of each tile that culling an entry is expected to make, infinite for what must stay. unseen: change already owed to what
-        no path met.
+        no path met. before: (A,) bool, what was culled in the last frame: it is so again if that uses up the budget, or all but a factor of hysteresis.
         """
         self.base, self.without, self.worth, self.savings, self.budget = base, without, worth.copy(), savings, budget
         self.unseen = min(unseen, 0.5 * budget.mean)
+        self.before, self.hysteresis = before, hysteresis
         self.allowed = int(PATHS * base.log.luminance.size)
         self.traced = 0
 
     def run(self, progress: Progress = silent) -> Choice:
         """The best set found: selections first, each from what the ones before have found out, then groups of what is still kept."""
+        settled = self._as_before()
+        if settled is not None:
+            return settled
         best = self._try(select(self.worth, self.savings.share, 0.0, 0.0)) or self._keep_all()
         scale = 1.0
         for k in range(SELECTIONS):
@@ -139,6 +145,17 @@ class Search:
             self.worth[choice.cull] = np.abs(choice.trial.entries[choice.cull])
             scale *= min(max(AIM / max(excess, 0.1), 0.5), 2.0)
         return self._thin_out(best, progress)
+
+    def _as_before(self) -> Choice | None:
+        """What was culled in the last frame, and what no path meets; None where that breaks the budget or leaves much of it."""
+        if self.before is None:
+            return None
+        cull = (self.before | (self.worth.sum(axis=1) == 0)) & np.isfinite(self.worth).all(axis=1)
+        change = self.worth[cull].sum(axis=0)
+        choice = self._try(Selection(cull, float(change.mean()), float(change.max())))
+        if choice is None or not 1 / self.hysteresis <= self._excess(choice) <= 1:
+            return None
+        return choice
 
     def _thin_out(self, best: Choice, progress: Progress) -> Choice:
         """Cull groups of what is still kept too, least worth for what they save first; those that break the budget are halved and tried again."""

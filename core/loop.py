@@ -102,6 +102,7 @@ class Loop:
     """The loop over a scene, and on to its next frames: what exists between rounds.
 
     exists, pinned: (N,) bool. active: (N,) bool, instances that are, or are to be, in the TLAS. kept: (N,) bool, what the last decision kept.
+    known: (N,) bool, what it measured, None where there was none.
     value: (N,) float32, share of the paths that met an instance, or asked for it, when that was last known. measured: the last measurement of this frame.
     """
 
@@ -118,6 +119,7 @@ class Loop:
         self.device = device or shared_device(options.threads)
         count = len(scene.instances)
         self.active, self.kept, self.value = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, np.float32)
+        self.known: np.ndarray | None = None
         self.cold = True  # nothing is known yet of what paths need
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         self._shown = np.zeros(0, np.int32)  # large instances in view
@@ -192,6 +194,7 @@ class Loop:
             return new
 
         self.active, self.kept, self.value = carried(self.active) & self.exists, carried(self.kept), carried(self.value)
+        self.known = None if self.known is None else carried(self.known)
         self._shown = np.flatnonzero(carried(shown)).astype(np.int32)
         self.regions = self.regions.renewed(bounds, np.flatnonzero(self.exists), previous)
 
@@ -456,6 +459,8 @@ class Loop:
             return
         start = time.perf_counter()
         ids, met = self.measured.tlas.ids, self.measured.met
+        self.known = np.zeros(len(self.active), bool)
+        self.known[ids] = True
         self.value[ids] = met[ids] / max(self.measured.feedback.paths, 1)
         unmet = ids[(met[ids] == 0) & ~self.kept[ids]]
         self.active[self.regions.release(unmet)] = False
