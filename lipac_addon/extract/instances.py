@@ -218,7 +218,9 @@ class Placer:
 
     def _placed(self) -> Placed:
         fresh, old = self._output.rows, self._before
-        blocks, before, parts, at = [], [], [], 0
+        blocks: list[Block] = []
+        before: list[tuple[Block | None, bool]] = []
+        parts, at = [], 0
         for block, known, still in self._blocks:
             rows = None if known is None or old is None else old.rows[known.first : known.first + known.count]
             own = fresh[at : at + (0 if still else block.count)]

@@ -313,7 +313,12 @@ def test_an_animated_sky_is_rendered_when_it_changes(monkeypatch: pytest.MonkeyP
 
     bake = module.bake
     monkeypatch.setattr(module, "BAKE_HEIGHT", 16)
-    monkeypatch.setattr(module, "bake", lambda *a: (baked.extend([1]), bake(*a))[1])
+
+    def counted(*arguments: Any) -> Any:
+        baked.append(1)
+        return bake(*arguments)
+
+    monkeypatch.setattr(module, "bake", counted)
     with Extractor(bpy.context.scene) as extractor:
         row = [extractor.frame(k) for k in (1, 2, 3, 4)]
     assert len(baked) == 2
