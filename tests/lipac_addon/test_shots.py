@@ -202,7 +202,8 @@ def test_a_set_of_frames_with_other_instances() -> None:
     def frame(objects: list[str], kept: list[bool]) -> States:
         names = tuple(sorted(set(objects)))
         n = len(objects)
-        keys: dict[str, np.ndarray] = {"kind": np.zeros(n, np.uint8), "host": np.full(n, -1, np.int32), "object": np.array([names.index(o) for o in objects], np.int32)}
+        keys: dict[str, np.ndarray] = {"kind": np.zeros(n, np.uint8), "host": np.full(n, -1, np.int32)}
+        keys["object"] = np.array([names.index(o) for o in objects], np.int32)
         keys["path"] = np.zeros((n, 0), np.int32)
         return States(np.where(kept, State.ACTIVE, State.CULLED).astype(np.uint8), np.zeros(n, np.float32), np.zeros((n, 5), np.int64), keys, names)
 
