@@ -21,7 +21,6 @@ _OPENING = 13.0  # half the width that is left out of the row of houses
 _START, _CORNER = -95.0, 7.0  # x where the drive begins; radius of the turn
 _EYE, _TILT = city.CAMERA[2], math.radians(95.5)
 _END_TURN = math.radians(-9.0)
-_KEYS = 4  # frames from key to key
 
 
 def build(instances: int | None, seed: int) -> None:
@@ -65,17 +64,11 @@ def path() -> F64:
 
 
 def _drive(scene: bpy.types.Scene) -> None:
-    """Keyframes of the camera, linear between every few frames."""
+    """A keyframe of the camera in every frame."""
     scene.frame_start, scene.frame_end = 1, FRAMES
     camera = scene.camera
-    preferences = bpy.context.preferences.edit
-    before, preferences.keyframe_new_interpolation_type = preferences.keyframe_new_interpolation_type, "LINEAR"
-    try:
-        for k, (x, y, z, heading) in enumerate(path()):
-            if k % _KEYS == 0 or k == FRAMES - 1:
-                camera.location, camera.rotation_euler = (x, y, z), (_TILT, 0.0, heading)
-                camera.keyframe_insert("location", frame=k + 1)
-                camera.keyframe_insert("rotation_euler", frame=k + 1)
-    finally:
-        preferences.keyframe_new_interpolation_type = before
+    for k, (x, y, z, heading) in enumerate(path()):
+        camera.location, camera.rotation_euler = (x, y, z), (_TILT, 0.0, heading)
+        camera.keyframe_insert("location", frame=k + 1)
+        camera.keyframe_insert("rotation_euler", frame=k + 1)
     scene.frame_set(1)
