@@ -12,8 +12,7 @@ import numpy as np
 from numba import njit
 
 from .errors import InputError
-from .film import LUMINANCE
-from .scene import F32, F64, I32, I64
+from .scene import F64, I32, I64
 
 ENTRY_BYTES = 150.0  # of a TLAS entry: 64 bytes of Embree's leaf, 52 of ours, and its share of the inner nodes
 
@@ -112,13 +111,3 @@ def unseen_share(hits: I64, paths: int) -> float:
     hits: (N,) int64 rays that met each instance; paths: how many were traced. A path that meets such an instance is taken to be wholly wrong.
     """
     return float((hits == 1).sum()) / max(paths, 1)
-
-
-def tile_means(picture: F32, columns: int, rows: int) -> F64:
-    """Mean luminance of the tiles of a picture (H, W, 3 or 4): (rows * columns,) float64, in rows from the first."""
-    height, width = picture.shape[:2]
-    luminance = picture[..., :3].astype(np.float64) @ LUMINANCE
-    y, x = np.arange(height) * rows // height, np.arange(width) * columns // width
-    tile = y[:, None] * columns + x[None, :]
-    sums = np.bincount(tile.ravel(), luminance.ravel(), rows * columns)
-    return sums / np.maximum(np.bincount(tile.ravel(), minlength=rows * columns), 1)

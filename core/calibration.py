@@ -13,10 +13,10 @@ import numpy as np
 from numba import njit
 
 from .budget import Budget, Savings, Selection, select
-from .feedback import COLUMNS, DARK, ROWS, TILES
 from .path_log import RECORD, PathLog
 from .progress import Progress, silent
 from .scene import F32, F64, I32
+from .tiles import DARK, TILES, tiles_of
 
 SELECTIONS = 12  # trials of selections
 GROUPS = 16  # trials of groups
@@ -54,8 +54,7 @@ class Base:
     def __init__(self, log: PathLog) -> None:
         height, width, samples = log.luminance.shape
         self.log = log
-        y, x = np.arange(height) * ROWS // height, np.arange(width) * COLUMNS // width
-        self.tile: I32 = np.repeat((y[:, None] * COLUMNS + x[None, :]).ravel(), samples).astype(np.int32)
+        self.tile: I32 = np.repeat(tiles_of(height, width).ravel(), samples).astype(np.int32)
         sums = np.bincount(self.tile, log.luminance.ravel(), TILES)
         counts = np.maximum(np.bincount(self.tile, minlength=TILES), 1)
         means = sums / counts

@@ -10,8 +10,8 @@ import numpy as np
 
 from .budget import Budget
 from .errors import InputError
-from .feedback import TILES
 from .scene import F32, F64, Camera, Instances, Scene
+from .tiles import TILES
 
 # Something that a coarse tile's paths do not meet may be worth some of them, each as bright as what stands behind it: so many paths, over the tile's bound.
 TILE_PATHS = 100

@@ -8,10 +8,10 @@ import numpy as np
 
 from .hitboxes import Hitboxes
 from .scene import F64, I32, I64, RAY_TYPES
+from .tiles import COLUMNS, DARK, ROWS, TILES
 
-COLUMNS, ROWS = 16, 9  # coarse tiles of the picture
-TILES = COLUMNS * ROWS
-DARK = 0.01  # of the mean luminance: darker tiles are judged against this, below which no display shows a change
+__all__ = ["COLUMNS", "ROWS", "TILES", "Feedback", "Weights"]  # the kernel's
+
 _FIXED = float(1 << 20)  # units of fixed point to the picture's mean luminance
 
 

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .budget import Budget, tile_means
+from .budget import Budget
 from .culling import CullOptions
-from .feedback import COLUMNS, ROWS, Weights
+from .feedback import Weights
 from .loop import Loop
 from .metrics import linear_error
 from .progress import Progress, part, silent
 from .scene import F32, F64, I32, Scene
+from .tiles import DARK, tile_means
 
 SEED = 0x6A7564  # of the judge; an analysis has another one
 BATCHES = 4
@@ -27,7 +28,7 @@ _TWO_SIDED_95 = 3.182  # Student's t at 3 degrees of freedom
 
 @dataclass(frozen=True)
 class Change:
-    """Relative change of a picture, as `budget.change` defines it: mean over the coarse tiles and of the worst one, each with half a 95 % confidence interval.
+    """Relative change of a picture, as `budget` defines it: mean over the coarse tiles and of the worst one, each with half a 95 % confidence interval.
 
     tiles: (T,) float64 signed relative change of every coarse tile.
     """
@@ -45,9 +46,9 @@ class Change:
 
 def paired_change(full: F32, culled: F32) -> Change:
     """Change between two stacks of batches, (B, H, W, 3 or 4) float32 each, batch b of both traced with the same random numbers."""
-    a = np.stack([tile_means(p, COLUMNS, ROWS) for p in full])
-    b = np.stack([tile_means(p, COLUMNS, ROWS) for p in culled])
-    base = np.maximum(a.mean(axis=0), max(0.01 * a.mean(), 1e-30))
+    a = np.stack([tile_means(p) for p in full])
+    b = np.stack([tile_means(p) for p in culled])
+    base = np.maximum(a.mean(axis=0), max(DARK * a.mean(), 1e-30))
     relative = (b - a) / base
     tiles = relative.mean(axis=0)
     half = _TWO_SIDED_95 * relative.std(axis=0, ddof=1) / np.sqrt(len(full)) if len(full) > 1 else np.full(len(tiles), np.inf)
@@ -125,7 +126,7 @@ class Judge:
         """What each instance is worth with the whole scene active, from paths that the judge does not use: (A, T) float64, and ids (A,) int32."""
         loop = self.loop
         tlas = loop.build(loop.exists)
-        ambient = float(tile_means(self.full.mean(axis=0), COLUMNS, ROWS).mean())
+        ambient = float(tile_means(self.full.mean(axis=0)).mean())
         weights = Weights.zeros(len(self.scene.instances), tlas.ids, ambient)
         loop.trace(tlas, samples, None, weights, progress)
         return weights.relative(), tlas.ids

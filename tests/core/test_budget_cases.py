@@ -9,10 +9,10 @@ import pytest
 
 from lipac.core import scene as s
 from lipac.core.analysis import analyze
-from lipac.core.budget import Budget, tile_means
+from lipac.core.budget import Budget
 from lipac.core.culling import CullOptions
-from lipac.core.feedback import COLUMNS, ROWS
 from lipac.core.loop import Loop
+from lipac.core.tiles import tile_means
 
 from . import scenes
 
@@ -105,7 +105,7 @@ def effect(scene: s.Scene) -> tuple[float, float]:
     _, full = loop.trace(loop.build(loop.exists), 64)
     keep = loop.exists.copy()
     keep[SUBJECT] = False
-    a, b = (tile_means(picture, COLUMNS, ROWS) for picture in (full, loop.trace_again(keep, first, 64)))
+    a, b = (tile_means(picture) for picture in (full, loop.trace_again(keep, first, 64)))
     relative = np.abs(b - a) / np.maximum(a, 0.01 * a.mean())
     return float(relative.mean()), float(relative.max())
 

@@ -10,9 +10,9 @@ import pytest
 from lipac.core.budget import ENTRY_BYTES, Budget, Savings
 from lipac.core.calibration import CONFIDENCE, Base, Search
 from lipac.core.culling import CullOptions
-from lipac.core.feedback import COLUMNS, ROWS, TILES
 from lipac.core.loop import Loop, Measurement
 from lipac.core.path_log import RECORD, PathLog
+from lipac.core.tiles import COLUMNS, ROWS, TILES
 
 from .test_loop import stage
 
