@@ -224,7 +224,9 @@ def check_boxes(scene: s.Scene, some: np.ndarray, seed: int) -> None:
     origin, direction, far = first_rays(scene, seed)
     crossed = np.zeros(len(bounds), np.int64)
     for o, d, end in zip(origin, direction, far, strict=True):
-        crossed += np.array([box_entry(*box[0], *box[1], *o.astype(np.float32), *d.astype(np.float32), float(np.float32(end))) >= 0 for box in bounds], np.int64)
+        crossed += np.array(
+            [box_entry(*box[0], *box[1], *o.astype(np.float32), *d.astype(np.float32), float(np.float32(end))) >= 0 for box in bounds], np.int64
+        )
     assert (feedback.boxes[:, s.RayType.CAMERA] == crossed).all(), "box crossings differ from brute force"
 
 
