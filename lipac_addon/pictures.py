@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -57,9 +58,14 @@ def read_picture(path: Path) -> F32:
 
 
 def _save(image: bpy.types.Image, scene: bpy.types.Scene, stem: Path) -> None:
+    """Raises OSError where a picture cannot be written: a full disk, a folder that is gone."""
     for suffix, values in _FORMATS.items():
-        with replacing(stem.with_name(stem.name + suffix)) as part, _settings(scene, values):
-            image.save_render(str(part), scene=scene)
+        path = stem.with_name(stem.name + suffix)
+        with replacing(path) as part, _settings(scene, values):
+            try:
+                image.save_render(str(part), scene=scene)
+            except RuntimeError as error:
+                raise OSError(errno.EIO, str(error).strip().removeprefix("Error: "), str(path)) from error
 
 
 @contextmanager

@@ -58,6 +58,9 @@ def guarded(name: str, arguments: Sequence[str]) -> int:
         line, status = "stopped; finished frames and their report are kept", 130
     except MemoryError:
         line, status = "out of memory; lower --resolution or the number of instances, or close other programs", 1
+    except OSError as error:
+        where = f" {error.filename}" if error.filename else " its files"
+        line, status = f"cannot read or write{where}: {error.strerror or error}; finished frames are kept; free space or choose another folder with -o", 1
     except Exception as error:
         if os.environ.get("LIPAC_DEBUG", "") not in ("", "0"):
             raise
