@@ -19,7 +19,7 @@ from .graph import GraphReader
 from .instances import Placed, Placer
 from .lights import place_lamps
 from .meshes import LazyMeshes
-from .shading import Shading, ShadingReader
+from .shading import Shading, ShadingReader, same_array
 from .world import ExtractedWorld, extract_world
 
 
@@ -150,9 +150,9 @@ def _stand_in(scene: Any) -> bool:
 
 def _same_light(a: Scene, b: Scene) -> bool:
     """Whether lamps, world and path limits are the same."""
-    lights = a.lights.shape == b.lights.shape and a.lights.tobytes() == b.lights.tobytes()
-    same_image = a.world.image is b.world.image
-    return bool(lights and same_image and np.array_equal(a.world.color, b.world.color) and a.world.visibility == b.world.visibility and a.limits == b.limits)
+    x, y = a.world, b.world
+    same_world = x.image is y.image and np.array_equal(x.color, y.color) and x.visibility == y.visibility
+    return same_world and same_array(a.lights, b.lights) and a.limits == b.limits
 
 
 def _same_view(a: Scene, b: Scene) -> bool:

@@ -31,11 +31,16 @@ class Shading:
         """Whether all arrays are the same."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("slot_materials", "materials")]
         pairs += [(getattr(self.textures, name), getattr(other.textures, name)) for name in ("records", "bytes", "floats")]
-        return (self.uv_maps, self.approximated) == (other.uv_maps, other.approximated) and all(_same_bytes(a, b) for a, b in pairs)
+        return (self.uv_maps, self.approximated) == (other.uv_maps, other.approximated) and all(same_array(a, b) for a, b in pairs)
 
 
-def _same_bytes(a: NDArray[Any], b: NDArray[Any]) -> bool:
-    return a is b or (a.shape == b.shape and a.dtype == b.dtype and a.tobytes() == b.tobytes())
+def same_array(a: NDArray[Any], b: NDArray[Any]) -> bool:
+    """Whether two arrays have the same numbers, to the bit. Of records the fields count, not what lies between them."""
+    if a is b:
+        return True
+    if a.shape != b.shape or a.dtype != b.dtype:
+        return False
+    return all(same_array(a[name], b[name]) for name in a.dtype.names) if a.dtype.names else a.tobytes() == b.tobytes()
 
 
 class ShadingReader:
