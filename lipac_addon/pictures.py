@@ -65,7 +65,7 @@ def _save(image: bpy.types.Image, scene: bpy.types.Scene, stem: Path) -> None:
             try:
                 image.save_render(str(part), scene=scene)
             except RuntimeError as error:
-                raise OSError(errno.EIO, str(error).strip().removeprefix("Error: "), str(path)) from error
+                raise OSError(errno.EIO, str(error).strip().removeprefix("Error: ").splitlines()[0], str(path)) from error
 
 
 @contextmanager
