@@ -1,0 +1,120 @@
+"""A full disk, a folder that goes away, an Embree without memory, another Embree in the process: what the user is told, and what is left."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from numba import cfunc, types
+
+from lipac.core import embree
+from lipac.core.blas import BlasCache
+from lipac.core.culling import CullOptions
+from lipac.core.report import Report
+from lipac.lipac_addon.pipeline import Job, run
+
+from ..core import scenes
+from .inside_blender import stage
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The stage as a .blend."""
+    stage()
+    path = tmp_path_factory.mktemp("scene") / "stage.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return path
+
+
+def command(limit: int, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """`lipac ARGUMENTS` in a process whose files can be no larger than limit bytes: to it, the disk is full."""
+
+    def full() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    return subprocess.run(
+        [sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        preexec_fn=full,
+        timeout=300,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("limit", [500, 4000])
+def test_full_disk(blend: Path, tmp_path: Path, limit: int) -> None:
+    """500 bytes: not even the report fits; 4,000: the picture does not."""
+    before = blend.read_bytes()
+    done = command(limit, "render", blend, "-o", tmp_path / "out", "--engine", "path", "--samples", 1, "--quiet")
+    assert done.returncode == 1
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1 and "cannot read or write" in lines[0] and "free space" in lines[0]
+    assert blend.read_bytes() == before
+    left = [p for p in (tmp_path / "out").rglob("*") if p.is_file()]
+    assert not [p for p in left if p.suffix in (".png", ".exr") or ".part" in p.name], "half a file is left"
+    report = tmp_path / "out" / "report.json"
+    assert not report.exists() or json.loads(report.read_text())["frames"] == []
+
+
+def test_output_folder_removed_in_the_midst(tmp_path: Path) -> None:
+    """The frame that cannot be written is an error that names the file; the open file is as it was."""
+    scene = stage()
+    folder, report = tmp_path / "out", Report("stage", "", "", "light-paths", "path", 0, 1)
+    hidden = [ob.hide_render for ob in bpy.data.objects]
+
+    def gone() -> bool:
+        if scene.frame_current == 2 and folder.exists():
+            shutil.rmtree(folder)
+        return False
+
+    with pytest.raises(OSError, match="out"):
+        run(Job(folder, (1, 2, 3), CullOptions(width=48), "path", samples=1), report, cancelled=gone)
+    assert [f["frame"] for f in report.frames] == [1]
+    assert [ob.hide_render for ob in bpy.data.objects] == hidden
+
+
+@cfunc(types.boolean(types.uintp, types.intp, types.boolean))
+def _refuse(user, change, post):
+    return change < 20_000
+
+
+def test_embree_without_memory() -> None:
+    """A build that its memory monitor refuses is a MemoryError that says which mesh; the device still builds what fits, and nothing leaks."""
+    device = embree.Device(2)
+    monitor = embree.lib.rtcSetDeviceMemoryMonitorFunction
+    meshes = [scenes.sphere(128), scenes.cube()]
+    monitor(device.handle, _refuse.address, ctypes.c_void_p(0))
+    blas = BlasCache(meshes, device)
+    with pytest.raises(MemoryError, match="mesh 0 with 65,024 triangles"):
+        blas.need(np.array([0]))
+    assert blas.scenes[0] == 0
+    gc.collect()
+    assert blas.need(np.array([1])) == 1
+    assert blas.scenes[1] != 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD")
+def test_beside_another_embree() -> None:
+    """The core's tests of tracing with Blender's own Embree in global scope, as in a Blender program."""
+    libraries = [path for folder in Path(bpy.__file__).parents for path in (folder / "lib").glob("libembree4.so*")]
+    assert libraries, "this Blender brings no Embree"
+    tests = [str(ROOT / "tests" / "core" / f"test_{name}.py") for name in ("tlas", "hitboxes", "loop")]
+    arguments = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests]
+    done = subprocess.run(arguments, cwd=ROOT, env=os.environ | {"LD_PRELOAD": str(libraries[0])}, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
