@@ -20,7 +20,7 @@ from .tiles import DARK, TILES, tiles_of
 
 SELECTIONS = 12  # trials of selections
 GROUPS = 16  # trials of groups
-CONFIDENCE = 2.0  # standard deviations of its measurement that are added to the change of a tile
+CONFIDENCE = 1.5  # standard deviations of its measurement that are added to the change of a tile
 AIM = 0.95  # of the budget: what the next selection is to use up
 PATHS = 1.0  # traced by all trials together at most, to those of the measurement: a calibration costs no more than what it calibrates
 
