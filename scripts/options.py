@@ -233,7 +233,7 @@ def do_frames(
         report = new_report(args, job)
         if args.resume and (others := report.other_options(args.output)):
             what = ", ".join(others)
-            raise InputError(f"--resume: {args.output} was made with another {what}; give the same, or another -o, or begin anew without --resume")
+            raise InputError(f"--resume: {args.output} was made otherwise ({what}); give the same options, or another -o, or begin anew without --resume")
         report.note(report.warnings, missing_libraries())
         run(job, report, progress, cancelled)
     print(report.table())
@@ -250,7 +250,7 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     from ..lipac_addon.pipeline import SHOT
 
     scene, path = bpy.context.scene, args.scene or bpy.data.filepath
-    options: dict[str, Any] = {f"cull {name}": value for name, value in dataclasses.asdict(job.options).items() if name not in ("threads", "seed", "policy")}
+    options: dict[str, Any] = {name: value for name, value in dataclasses.asdict(job.options).items() if name not in ("threads", "seed", "policy")}
     options |= {"resolution": [scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage], "camera": args.camera or ""}
     options |= {"samples": job.samples, "bake": job.bake, "warm": job.warm, "file": digest(Path(path)) if path else ""}
     if job.engine == "hybrid":

@@ -95,7 +95,7 @@ def test_resuming_with_other_options_is_refused(blend, tmp_path, capfd):
     assert main([*base, "--resume", "--max-error", "0.5", "--seed", "3", "--threads", "1"]) == 2
     err = capfd.readouterr().err
     assert err.count("\n") == 1
-    assert "another cull max_error, seed;" in err
+    assert "otherwise (max_error, seed);" in err
     assert main([*base, "--max-error", "0.5"]) == 0
 
 
@@ -149,7 +149,7 @@ def test_a_budget_of_bytes_is_kept(blend, tmp_path):
     assert main([*base, "-o", str(tmp_path / "tight"), "--blas-budget", str(free // 2)]) == 0
     tight = json.loads((tmp_path / "tight" / "report.json").read_text())
     assert 0 < tight["frames"][0]["blas_bytes"] <= free // 2
-    assert tight["options"]["cull blas_budget_bytes"] == free // 2
+    assert tight["options"]["blas_budget_bytes"] == free // 2
 
 
 STUCK = """
