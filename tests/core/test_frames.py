@@ -13,6 +13,7 @@ import pytest
 
 from lipac.core import scene as s
 from lipac.core.analysis import analyze
+from lipac.core.budget import Budget
 from lipac.core.change import Change
 from lipac.core.culling import CullOptions, State
 from lipac.core.embree import Device
@@ -70,6 +71,7 @@ def assert_as_alone(result, scene: s.Scene, options: CullOptions = OPTIONS) -> N
     Clearly: by COLD_HITS hits, what may escape the boxes of either, and a few for rays that took another course because of it.
     """
     alone = analyze(scene, options)
+    assert options.min_share is not None
     met, paths = alone.hits.sum(axis=1), alone.stats["paths"]
     bound, slack = options.min_share * options.paths * scene.film.width * scene.film.height, 2 * COLD_HITS
     assert result.active[met >= bound + slack].all()
@@ -140,11 +142,17 @@ def test_what_is_settled_stays_over_two_hundred_frames() -> None:
     assert sum(rounds) <= 1.1 * len(rounds)  # here and there a region is tried again, less and less often
 
 
-def test_hysteresis_lets_fewer_states_change() -> None:
+@pytest.mark.parametrize("options", [OPTIONS, CullOptions(width=96, paths=4, max_error=Budget(0.02, 0.2))], ids=["counts", "budget"])
+def test_hysteresis_lets_fewer_states_change(options: CullOptions) -> None:
     changes = []
     for hysteresis in (1.0, 4.0):
-        shot = Shot(dataclasses.replace(OPTIONS, hysteresis=hysteresis))
-        states = [shot.advance(frame_of(frame), all_deform() if frame else None).active for frame in range(10)]
+        shot = Shot(dataclasses.replace(options, hysteresis=hysteresis))
+        states = []
+        for frame in range(10):
+            result = shot.advance(frame_of(frame), all_deform() if frame else None)
+            states.append(result.active)
+            if options.min_share is None:
+                assert result.stats["calibrated_mean"] <= options.max_error.mean
         changes.append(sum(int((a != b).sum()) for a, b in itertools.pairwise(states)))
     assert changes[1] < changes[0]
 
