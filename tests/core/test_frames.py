@@ -18,7 +18,7 @@ from lipac.core.change import Change
 from lipac.core.culling import CullOptions, State
 from lipac.core.embree import Device
 from lipac.core.frames import Shot
-from lipac.core.loop import COLD_HITS
+from lipac.core.loop import COLD_HITS, CullingResult
 
 from . import scenes
 
@@ -65,7 +65,7 @@ def all_deform(poles: int = POLES) -> Change:
     return Change(None, moved, np.arange(2, 2 + poles, dtype=np.int32), NONE, False, True)
 
 
-def assert_as_alone(result, scene: s.Scene, options: CullOptions = OPTIONS) -> None:
+def assert_as_alone(result: CullingResult, scene: s.Scene, options: CullOptions = OPTIONS) -> None:
     """States equal those of a fresh start at rest: what clearly passes the bound is active, what clearly fails both bounds is culled.
 
     Clearly: by COLD_HITS hits, what may escape the boxes of either, and a few for rays that took another course because of it.

@@ -114,7 +114,7 @@ def test_a_new_order_is_split_where_the_old_one_was() -> None:
     previous = np.random.default_rng(5).permutation(2000)[:1900].astype(np.int32)  # some are gone, the others have other rows
     new = regions.renewed(bounds[previous], np.arange(1900), previous)
     after = check(new, bounds[previous], np.zeros(1900, bool))
-    finest = {int(i) for row in np.flatnonzero(before.level <= 1) for i in members(regions, before, row)}
+    finest = {int(i) for row in np.flatnonzero(before.level <= 1).tolist() for i in members(regions, before, row)}
     level = {int(previous[i]): int(after.level[row]) for row in range(len(after)) for i in members(new, after, row)}
     assert max(level[i] for i in finest if i in level) <= 1  # as fine as before, or finer
 
