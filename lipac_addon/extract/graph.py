@@ -26,6 +26,7 @@ from .meshes import read
 from .slots import Slots, SlotTable, material_slots
 
 GEOMETRY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL"}
+NOTHING_TYPES = {"ARMATURE", "CAMERA", "SPEAKER", "LATTICE"}  # show nothing themselves
 
 
 def matrix(value: Any) -> F64:
@@ -237,16 +238,17 @@ class GraphReader:
 
     def _read_node(self, node: Node, geometry_changed: bool) -> None:
         item = node.item
-        holdout = item.holdout_get(view_layer=self.layer)
-        visible = ray_visibility(item)
-        if not holdout and item.indirect_only_get(view_layer=self.layer):
-            visible &= ~(1 << RayType.CAMERA)
         node.full_name = full_name(item)
         node.name = self.names.setdefault(node.full_name, len(self.names))
-        node.world, node.visible = matrix(item.matrix_world), visible
-        node.marks = (int(InstanceFlag.HOLDOUT) if holdout else 0) | (int(InstanceFlag.SHADOW_CATCHER) if item.is_shadow_catcher else 0)
         node.shown, node.recursive, node.alone, node.kind = True, True, False, Kind.OBJECT
         node.collection, node.collection_name, node.lamp, node.data = None, "", None, 0
+        if item.type in NOTHING_TYPES and item.instance_type == "NONE":
+            return
+        holdout = item.holdout_get(view_layer=self.layer)
+        node.world, node.visible = matrix(item.matrix_world), ray_visibility(item)
+        if not holdout and item.indirect_only_get(view_layer=self.layer):
+            node.visible &= ~(1 << RayType.CAMERA)
+        node.marks = (int(InstanceFlag.HOLDOUT) if holdout else 0) | (int(InstanceFlag.SHADOW_CATCHER) if item.is_shadow_catcher else 0)
         lines: dict[str, None] = {}
         legacy = self._legacy(item, lines)
         if item.type in GEOMETRY_TYPES:
