@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from ..tests.hard.case import Case, Figure
 
-MODULES = ("places", "transforms", "meshes", "rays", "light", "counters", "cameras", "sampling", "inside_blender", "faults")
+MODULES = ("places", "transforms", "meshes", "rays", "light", "counters", "cameras", "inside_blender")
 
 
 def main(argv: Sequence[str]) -> int:

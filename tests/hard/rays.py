@@ -95,10 +95,8 @@ def watertight() -> Iterator[Figure]:
     stretched = np.zeros((3, 4), np.float32)
     stretched[:, :3], stretched[:, 3] = rotation(13) @ np.diag([1e-3, 1.0, 1e3]), (3.0, -7.0, 1.0)
     middle = np.random.default_rng(1).uniform(-0.3, 0.3, (50, 3))
-    at_vertices = (
-        "Embree's robust test gives both triangles of an edge the same sign, so no ray passes an edge; at a vertex the signs of several edges may contradict"
-        " each other. Only rays aimed at a vertex to the last bit find such a hole"
-    )
+    # Embree's robust test gives both triangles of an edge the same sign, so no ray passes an edge; around a vertex the signs of edges may contradict each other.
+    at_vertices = "signs of the edges around a vertex may contradict each other"
     for name, mesh, transform, inside in (
         ("a knot", knot_mesh, scenes.placed((0, 0, 0)), within),
         ("a knot, turned and moved", knot_mesh, turned, within),
