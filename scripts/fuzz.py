@@ -51,9 +51,9 @@ def checker(kind: str) -> Callable[[int], None]:
         from ..tests.hard import fuzz_blender
 
         return lambda seed: fuzz_blender.check(Seeded(seed), seed)
-    from ..tests.hard import fuzz_files
+    from ..tests.hard.fuzz_files import check
 
-    return lambda seed: fuzz_files.check(Seeded(seed))
+    return lambda seed: check(Seeded(seed))
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def random_scene(choose: Seeded) -> s.Scene:
     meshes = [_mesh(choose) for _ in range(choose.integer(1, 5))]
     materials = [_material(choose) for _ in range(choose.integer(1, 5))]
     rng = choose.numbers()
-    placement = []
+    placement: list[tuple[int, np.ndarray, int]] = []
     for _ in range(choose.integer(1, 16)):
         transform = np.zeros((3, 4))
         transform[:, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * 10 ** rng.uniform(-1, 0.3, 3) * rng.choice([1, 1, 1, -1], 3)
@@ -224,9 +224,8 @@ def check_boxes(scene: s.Scene, some: np.ndarray, seed: int) -> None:
     origin, direction, far = first_rays(scene, seed)
     crossed = np.zeros(len(bounds), np.int64)
     for o, d, end in zip(origin, direction, far, strict=True):
-        crossed += np.array(
-            [box_entry(*box[0], *box[1], *o.astype(np.float32), *d.astype(np.float32), float(np.float32(end))) >= 0 for box in bounds], np.int64
-        )
+        o32, d32, far32 = o.astype(np.float32), d.astype(np.float32), float(np.float32(end))
+        crossed += np.array([box_entry(*box[0], *box[1], *o32, *d32, far32) >= 0 for box in bounds], np.int64)  # type: ignore[call-arg]
     assert (feedback.boxes[:, s.RayType.CAMERA] == crossed).all(), "box crossings differ from brute force"
 
 

@@ -95,7 +95,7 @@ def watertight() -> Iterator[Figure]:
     stretched = np.zeros((3, 4), np.float32)
     stretched[:, :3], stretched[:, 3] = rotation(13) @ np.diag([1e-3, 1.0, 1e3]), (3.0, -7.0, 1.0)
     middle = np.random.default_rng(1).uniform(-0.3, 0.3, (50, 3))
-    # Embree's robust test gives both triangles of an edge the same sign, so no ray passes an edge; around a vertex the signs of edges may contradict each other.
+    # Embree's robust test gives both triangles of an edge the same sign, so no ray passes an edge; around a vertex the signs of edges may disagree.
     at_vertices = "signs of the edges around a vertex may contradict each other"
     for name, mesh, transform, inside in (
         ("a knot", knot_mesh, scenes.placed((0, 0, 0)), within),
@@ -122,7 +122,7 @@ def zero_components() -> Figure:
     direction = rng.choice([0.0, -0.0, 1.0, -1.0, 2.0], (count, 3))
     far = rng.choice([0.0, 0.5, 1.0, 4.0], count)
     for i in range(count):
-        got = box_entry(*low[i], *high[i], *origin[i], *direction[i], far[i]) >= 0.0
+        got = box_entry(*low[i], *high[i], *origin[i], *direction[i], far[i]) >= 0.0  # type: ignore[call-arg]
         near, end = 0.0, far[i]
         for axis in range(3):
             d = direction[i, axis]
@@ -161,7 +161,7 @@ def hitboxes_at_every_scale() -> Iterator[Figure]:
         crossings(subject.handle, subject.counters, np.zeros(hitboxes.QUERY, np.int64), origin, direction, far)
         expected = np.zeros(400, np.int64)
         for o, d in zip(origin, direction, strict=True):
-            expected += [box_entry(*b[0], *b[1], *o, *d, float(far)) >= 0 for b in boxes]
+            expected += [box_entry(*b[0], *b[1], *o, *d, float(far)) >= 0 for b in boxes]  # type: ignore[call-arg]
         wrong = int(np.abs(subject.counters[:, 0] - expected).sum())
         yield Figure(f"400 boxes of about {scale:g} m", f"miscounts, of {expected.sum():,} crossings", float(wrong), 0.0)
 
