@@ -47,7 +47,7 @@ def scene_parser(command: str, description: str) -> Parser:
     culling.add_argument("--cull", choices=POLICIES, default="light-paths", help="what decides (default: %(default)s)")
     culling.add_argument("--max-error", type=Budget.parse, metavar="E[,T]", help="light-paths: share by which the picture, and its worst tile, may change")
     culling.add_argument("--min-share", type=number, metavar="S", help="light-paths: instead of an error, keep what at least this share of paths meets")
-    culling.add_argument("--paths", type=count, metavar="N", help="light-paths: paths per pixel of the analysis")
+    culling.add_argument("--paths", type=count, metavar="N", help="light-paths: paths per pixel of the analysis (default: as many as the error needs)")
     culling.add_argument("--solid-angle", type=number, metavar="DEG", help="solid-angle: keep what spans at least this angle")
     culling.add_argument("--distance", type=number, metavar="M", help="distance: keep what is nearer than this")
     culling.add_argument("--margin", type=number, metavar="S", help="frustum: widen the picture by this share of it")

@@ -85,7 +85,11 @@ class LipacSettings(bpy.types.PropertyGroup):
         ),
     )
     paths: IntProperty(  # type: ignore[valid-type]
-        name="Paths", description="Light paths per pixel of the analysis picture. More find smaller things, and take longer", default=4, min=1, soft_max=64
+        name="Paths",
+        description="Light paths per pixel of the analysis picture. 0: as many as the error needs. More find smaller things, and take longer",
+        default=0,
+        min=0,
+        soft_max=64,
     )
     width: IntProperty(  # type: ignore[valid-type]
         name="Width", description="Width of the analysis picture in pixels", default=240, min=16, soft_max=1920, subtype="PIXEL"
