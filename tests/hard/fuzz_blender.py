@@ -148,7 +148,8 @@ def _scatter(choose: Seeded, host: Any, source: Any) -> None:
 
 def _material(choose: Seeded, k: int) -> Any:
     material = bpy.data.materials.new(f"material {k}")
-    material.use_nodes = True
+    if material.node_tree is None:
+        material.use_nodes = True
     tree, kind = material.node_tree, choose.one(SHADERS)
     if kind == "Principled":
         inputs = tree.nodes["Principled BSDF"].inputs
