@@ -132,6 +132,8 @@ def trace(
             addresses[kernel.BOXES], addresses[kernel.A_BOX_COUNTERS] = boxes.handle, address(boxes.counters)
             addresses[kernel.N_BOXES] = len(boxes)
     tiles = [(x, y, min(x + TILE, width), min(y + TILE, height)) for y in range(0, height, TILE) for x in range(0, width, TILE)]
+    if only is not None:
+        tiles = [(x, y, x1, y1) for x, y, x1, y1 in tiles if only[y:y1, x:x1].any()]
     stop = threading.Event()
 
     def work(tile: tuple[int, int, int, int]) -> None:

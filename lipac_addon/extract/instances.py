@@ -333,11 +333,11 @@ class Placer:
         """The instances of a geometry, in blocks of all (placement, row) pairs."""
         if len(at.path) >= MAX_DEPTH:
             return
+        self._output.reserve(len(at) * len(geometry.columns))
         for rows, target in geometry.groups:
             if target is None:
                 continue
             count = len(geometry.columns) if rows is None else len(rows)
-            self._output.reserve(len(at) * count)
             for start in range(0, len(at) * count, BLOCK):
                 flat = np.arange(start, min(start + BLOCK, len(at) * count))
                 placement, row = flat // count, flat % count
@@ -377,7 +377,8 @@ class Placer:
         rows = out.rows[out.count : out.count + count]
         good = np.empty(count, np.bool_)
         low, high = source.bounds.astype(np.float64)
-        reach = np.maximum(np.abs(low), np.abs(high)).max() * np.linalg.norm(at.transform[:, :, :3], axis=1).max(initial=0.0)
+        linear = at.transform[:, :, :3]
+        reach = np.maximum(np.abs(low), np.abs(high)).max() * np.sqrt(np.einsum("nij,nij->nj", linear, linear).max(initial=0.0))
         self.block.reach = max(self.block.reach, float(reach) if np.isfinite(reach) else np.inf)
         if source.origin is None:
             source.origin = np.zeros(3) if self.camera is None else local_origin(low, high, at.transform, self.camera)
