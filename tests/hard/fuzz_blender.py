@@ -185,7 +185,15 @@ def snapshot() -> dict[str, Any]:
 
 
 def _plain(thing: Any) -> dict[str, str]:
-    skipped = {"session_uid", "is_updated", "is_updated_data", "execution_time"}
+    skipped = {
+        "session_uid",
+        "is_updated",
+        "is_updated_data",
+        "execution_time",
+        "dimensions",
+        "matrix_world",
+        "matrix_local",
+    }  # of what is evaluated, not of the data
     return {p.identifier: _text(thing, p) for p in thing.bl_rna.properties if p.identifier not in skipped and p.type not in ("COLLECTION", "POINTER")}
 
 

@@ -173,7 +173,8 @@ def check_first_hits(scene: s.Scene, exist: np.ndarray, hits: np.ndarray, seed: 
     passes = (scene.materials["shader"] == s.Shader.TRANSPARENT) | ((scene.materials["shader"] == s.Shader.PRINCIPLED) & (scene.materials["alpha"] < 1))
     if passes.any():
         return  # what lies behind counts as well
-    seen = np.flatnonzero(exist & (scene.instances.flags & 1 != 0))
+    sound = np.abs(scene.instances.transform).max(axis=(1, 2)) <= LARGEST  # beyond, which extraction leaves out, float32 has no inverse
+    seen = np.flatnonzero(exist & sound & (scene.instances.flags & 1 != 0))
     origin, direction, far = first_rays(scene, seed)
     corners, owner = [np.zeros((0, 3, 3))], [np.zeros(0, np.int64)]
     for i in seen:
