@@ -18,10 +18,10 @@ from .progress import Progress, silent
 from .scene import F32, F64, I32
 from .tiles import DARK, TILES, tiles_of
 
-SELECTIONS = 10  # trials of selections
-GROUPS = 8  # trials of groups
-CONFIDENCE = 1.5  # standard deviations of its measurement that are added to the change of a tile
-AIM, ENOUGH = 0.95, 0.9  # of the budget: what the next selection is to use up, and what ends the search
+SELECTIONS = 14  # trials of selections
+GROUPS = 12  # trials of groups
+CONFIDENCE = 2.0  # standard deviations of its measurement that are added to the change of a tile
+AIM = 0.95  # of the budget: what the next selection is to use up
 PATHS = 1.0  # traced by all trials together at most, to those of the measurement: a calibration costs no more than what it calibrates
 
 
@@ -142,7 +142,7 @@ class Search:
                 best = choice
             # What is measured is known better than what was predicted.
             self.worth[choice.cull] = np.abs(choice.trial.entries[choice.cull])
-            if excess <= 1 and (excess > ENOUGH or choice.cull.all()):
+            if best.cull.all():
                 break
             scale *= min(max(AIM / max(excess, 0.1), 0.5), 2.0)
         return self._thin_out(best, progress)
