@@ -60,7 +60,7 @@ def test_report_says_machine_command_peers_and_ratios() -> None:
     run = {"work_s": 30.0, "process_s": 40.0, "peak_bytes": 2e9}
     results = {
         "rays": {"machine": "M", "cases": [{"case": "all active", "rays": "camera", "ours": 9e6, "bare": 1e7, "ratio": 0.9}]},
-        "extraction": {"machine": "M", "seconds": {"ours": 0.1, "read": 6.0, "touch": 3.0}},
+        "extraction": {"machine": "M", "seconds": {"pull": 0.05, "ours": 0.1, "read": 6.0, "touch": 3.0}},
         "city": {
             "machine": "M",
             "command": "lipac render X",
@@ -76,7 +76,8 @@ def test_report_says_machine_command_peers_and_ratios() -> None:
         return next(line.split("|")[5].strip() for line in lines if all(word in line for word in words))
 
     assert ratio("rays with feedback", "bare Embree loop") == "0.9"
-    assert ratio("1M instances out", "read into arrays") == "60"
+    assert ratio("1M instances pulled", "read into arrays") == "120"
+    assert ratio("as a core scene", "read into arrays") == "60"
     assert ratio("open file to picture") == "6"
     assert ratio("peak memory") == "0.25"
     assert ratio("error (flip)") == "0.1"
