@@ -44,7 +44,7 @@ class Trial:
 
     @property
     def worst(self) -> float:
-        """Relative change of the worst tile, with a standard deviation of its measurement on top."""
+        """Relative change of the worst tile, with CONFIDENCE standard deviations of its measurement on top."""
         return float((np.abs(self.change) + CONFIDENCE * self.deviation).max())
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .budget import Budget
 from .errors import InputError
-from .scene import F32, F64, Camera, Instances, Scene
+from .scene import F32, F64, Camera, Film, Instances, Scene
 from .tiles import TILES
 
 # Something that a coarse tile's paths do not meet may be worth some of them, each as bright as what stands behind it: so many paths, over the tile's bound.
@@ -68,11 +68,21 @@ class CullOptions:
     seed: int = 0
     threads: int = 0
 
-    def paths_per_pixel(self, pixels: int) -> int:
-        """Paths per pixel of a measurement of so many pixels."""
+    def picture_size(self, film: Film) -> tuple[int, int]:
+        """Width and height of the analysis picture."""
+        return min(self.width, film.width), min(max(1, round(self.width * film.height / film.width)), film.height)
+
+    def coarse_size(self, film: Film) -> tuple[int, int]:
+        """Width and height of the picture of coarse rounds."""
+        width, height = self.picture_size(film)
+        return max(width // 2, 1), max(height // 2, 1)
+
+    def paths_per_pixel(self, film: Film) -> int:
+        """Paths per pixel of a measurement."""
         if self.paths or self.min_share is not None or self.policy != "light-paths":
             return self.paths or COUNTED_PATHS
-        return int(np.clip(np.ceil(TILE_PATHS * TILES / (max(self.max_error.worst, 1e-3) * pixels)), 1, MOST_PATHS))
+        width, height = self.picture_size(film)
+        return int(np.clip(np.ceil(TILE_PATHS * TILES / (max(self.max_error.worst, 1e-3) * width * height)), 1, MOST_PATHS))
 
     def __post_init__(self) -> None:
         if self.policy not in POLICIES:

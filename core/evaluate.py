@@ -254,7 +254,8 @@ def ray_budget(evaluation: Evaluation, progress: Progress = silent) -> list[Row]
     """What fewer paths, and boxes counted on fewer of them, do to an analysis at E = 1 %."""
     out = []
     budget = Budget(0.01, 0.05)
-    studied = [(paths, 1) for paths in PATHS] + [(CullOptions().paths, every) for every in EVERY]
+    default = replace(evaluation.settings.options, max_error=budget, min_share=None).paths_per_pixel(evaluation.scene.film)
+    studied = [(paths, 1) for paths in PATHS] + [(default, every) for every in EVERY]
     for k, (paths, every) in enumerate(studied):
         progress(k / len(studied), f"{paths} paths per pixel, boxes on one in {every}")
         options = replace(evaluation.settings.options, max_error=budget, min_share=None, paths=paths, hitbox_every=every, seed=1)

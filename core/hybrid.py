@@ -18,10 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import path_kernel as kernel
-from .culling import CullOptions
 from .errors import InputError
 from .film import Picture
-from .scene import F32, Film, Scene
+from .scene import F32, Scene
 
 MODES = ("path", "diffuse-1", "reflections", "none")
 
@@ -39,12 +38,6 @@ def with_mode(scene: Scene, mode: str) -> Scene:
     elif mode not in MODES:
         raise InputError(f"unknown global illumination '{mode}': choose one of {', '.join(MODES)}")
     return dataclasses.replace(scene, limits=limits)
-
-
-def analysis_sizes(options: CullOptions, film: Film) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Width and height of the analysis picture, and of that of the coarse rounds (`core.loop`)."""
-    width, height = min(options.width, film.width), min(max(1, round(options.width * film.height / film.width)), film.height)
-    return (width, height), (max(width // 2, 1), max(height // 2, 1))
 
 
 @dataclass(frozen=True)

@@ -156,9 +156,8 @@ class Loop:
         self.rounds = self.paths = self.rays = 0
         self.measured: Measurement | None = None
         self._asked: tuple[Cut, I64] | None = None  # boxes of the last round, and how often they were crossed
-        height = max(1, round(self.options.width * scene.film.height / scene.film.width))
-        self.size = (min(self.options.width, scene.film.width), min(height, scene.film.height))
-        self.samples = self.options.paths_per_pixel(self.size[0] * self.size[1])
+        self.size = self.options.picture_size(scene.film)
+        self.samples = self.options.paths_per_pixel(scene.film)
         self.next_sample = self.samples  # a measurement has the first ones, in every frame the same: what did not change measures the same
 
     def _pin(self, pinned: np.ndarray | None) -> None:
@@ -350,7 +349,7 @@ class Loop:
     def run(self, progress: Progress = silent) -> None:
         """Rounds until no box is asked for any more, then a measurement. Where much is unknown coarse rounds, of few paths, come first."""
         self._notice()
-        coarse_size = (max(self.size[0] // 2, 1), max(self.size[1] // 2, 1))
+        coarse_size = self.options.coarse_size(self.scene.film)
         coarse = self.cold
         self.cold = False
         tlas = None

@@ -19,7 +19,7 @@ import numpy as np
 
 from .errors import InputError
 from .progress import clock
-from .scene import F32, I32, I64, U8, Records
+from .scene import F32, F64, I32, I64, U8, Records
 from .usage import peak_memory
 
 SCHEMA = 1
@@ -197,12 +197,13 @@ class States:
     note: str = ""
 
 
-def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, names: Sequence[str], note: str = "") -> None:
+def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, names: Sequence[str], note: str = "", boxes: F64 | None = None) -> None:
     """Write the states of a frame (states/frame_0001.npz).
 
     state (N,), score (N,), hits (N, RAY_TYPES), as in `core.loop.CullingResult`; key_kind, key_host, key_object (N,) and key_path (N, depth) are the fields of
     `lipac_addon.keys.KEY`, the path without the columns that no instance uses; names: strings that host and object index, those that are used, sorted, so that
     a frame's file is the same whatever other frames were looked at. Integers have the smallest type that holds them. note: a text to keep with it.
+    boxes: (H, 2, 3) world boxes that stand in for what is culled.
     Not compressed: at a million instances that would take longer than the analysis.
     """
     depth = int((keys["path"] >= 0).any(axis=0).sum()) if len(keys) else 0
@@ -217,6 +218,8 @@ def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, nam
         "key_path": np.ascontiguousarray(keys["path"][:, :depth]),
         "names": np.array(used, dtype=np.str_) if used else np.zeros(0, "U1"),
     }
+    if boxes is not None:
+        arrays["boxes"] = boxes
     if note:
         arrays["note"] = np.array(note)
     with replacing(path) as part:

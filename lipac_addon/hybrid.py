@@ -154,7 +154,8 @@ def render_hybrid(
     with line.stage("first hits"):
         hits = FirstHits(scene, options.primary, threads)
         scene = dataclasses.replace(scene, meshes=hits.meshes)
-        known = {size: hits.draw(size, 0, 1) for size in hybrid.analysis_sizes(cull, scene.film)} if cull.policy == "light-paths" else {}
+        sizes = (cull.picture_size(scene.film), cull.coarse_size(scene.film)) if cull.policy == "light-paths" else ()
+        known = {size: hits.draw(size, 0, 1) for size in sizes}
     size, count = (scene.film.width, scene.film.height), min(samples, MOST_PASSES)
     choose = decide or (lambda s: analyze(s, cull, part(progress, 0.0, 0.3), cancelled))
     tracing = _Tracing(scene, samples, count, seed, threads, part(progress, 0.3, 0.95), cancelled, line)

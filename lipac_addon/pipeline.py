@@ -202,7 +202,8 @@ def run_frame(session: Session, frame: int, report: Report, progress: Progress =
         check(cancelled)
         entry |= result.stats
     keys = extraction.keys
-    save_states(job.states(frame), result.state, result.score, result.hits, keys.records, keys.names)
+    boxes = result.boxes + extraction.scene.origin
+    save_states(job.states(frame), result.state, result.score, result.hits, keys.records, keys.names, boxes=boxes)
     rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
     if job.engine == "path":
         entry["render_s"] = render_path(extraction.scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled)

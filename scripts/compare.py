@@ -70,17 +70,15 @@ def tlas_of(scene: Path, states: Path, frame: int) -> Any:
     import numpy as np
 
     from ..core.culling import State
-    from ..core.regions import Regions
     from ..core.tlas_picture import tlas_picture
     from ..lipac_addon.extract import extract_frame
     from ..lipac_addon.open import open_scene
 
     open_scene(scene)
     frozen = extract_frame(bpy.context.scene, frame).scene
-    active = np.load(states)["state"] == State.ACTIVE
-    bounds = frozen.instances.bounds
-    exists = np.isfinite(bounds).all(axis=(1, 2)) & (bounds[:, 0] <= bounds[:, 1]).all(axis=1)
-    return tlas_picture(frozen, active, Regions(bounds, np.flatnonzero(exists)).cut(np.flatnonzero(active)).bounds)
+    with np.load(states) as data:
+        active, boxes = data["state"] == State.ACTIVE, (data["boxes"] - frozen.origin).astype(np.float32)
+    return tlas_picture(frozen, active, boxes)
 
 
 def table(full: dict[str, Any], culled: dict[str, Any], error: dict[str, dict[str, float]]) -> str:

@@ -130,7 +130,9 @@ def test_regions_that_nobody_asks_for_are_closed_and_those_closed_in_vain_stay_o
     regions.close(nothing, fine, np.zeros(len(fine), np.int64))
     assert parts(regions, regions.cut(nothing)) == coarse
     flips = []
-    for _ in range(200):  # the second region is crossed, none of its parts is
+
+    def frame() -> None:
+        """The second region is crossed, none of its parts is."""
         cut = regions.cut(nothing)
         crossings = np.where((cut.level == cut.level.max()) & (cut.index == asked), 100, 0)
         rows = np.flatnonzero(crossings)
@@ -138,16 +140,13 @@ def test_regions_that_nobody_asks_for_are_closed_and_those_closed_in_vain_stay_o
         regions.split_nodes(cut, rows, crossings[rows])
         cut = regions.cut(nothing)
         regions.close(nothing, cut, np.zeros(len(cut), np.int64))
+
+    for _ in range(200):
+        frame()
     assert sum(flips) == 1  # asked for once more, and open since: nothing changed
     for _ in range(400):
         regions.pass_frame()
-        cut = regions.cut(nothing)
-        crossings = np.where((cut.level == cut.level.max()) & (cut.index == asked), 100, 0)
-        rows = np.flatnonzero(crossings)
-        flips.append(len(rows))
-        regions.split_nodes(cut, rows, crossings[rows])
-        cut = regions.cut(nothing)
-        regions.close(nothing, cut, np.zeros(len(cut), np.int64))
+        frame()
     assert 2 < sum(flips) < 8  # tried again, less and less often
     assert (regions.levels - 1, int(quiet)) in parts(regions, regions.cut(nothing))
 

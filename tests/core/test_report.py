@@ -59,7 +59,8 @@ def test_states_come_back(tmp_path):
     keys["path"][:, :2] = rng.integers(0, 9, (n, 2))
     keys["kind"], keys["host"], keys["object"] = rng.integers(0, 5, n), rng.integers(-1, 2, n), rng.integers(-1, 2, n)
     state, score, hits = rng.integers(0, 3, n).astype(np.uint8), rng.random(n, np.float32), rng.integers(0, 70000, (n, 5))
-    save_states(tmp_path / "s.npz", state, score, hits, keys, ("a", "lib\nb"))
+    boxes = rng.random((7, 2, 3))
+    save_states(tmp_path / "s.npz", state, score, hits, keys, ("a", "lib\nb"), boxes=boxes)
     with np.load(tmp_path / "s.npz") as found:
         assert (found["state"] == state).all()
         assert (found["score"] == score).all()
@@ -72,6 +73,7 @@ def test_states_come_back(tmp_path):
         for name in ("kind", "host", "object"):
             assert (found["key_" + name] == keys[name]).all()
         assert found["names"].tolist() == ["a", "lib\nb"]
+        assert (found["boxes"] == boxes).all()
     back = load_states(tmp_path / "s.npz")
     assert (back.state == state).all() and (back.hits == hits).all() and back.names == ("a", "lib\nb") and back.note == ""
 
