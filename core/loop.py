@@ -93,9 +93,9 @@ class Measurement:
 
 def _existing(bounds: F32) -> np.ndarray:
     """What can be met: has triangles, and coordinates that are finite and no larger than Embree takes. (N, 2, 3) -> (N,) bool."""
+    columns = np.ascontiguousarray(bounds.reshape(-1, 6).T)  # fast along the long axis
     with np.errstate(invalid="ignore"):
-        usable = np.abs(bounds) <= LARGEST
-    return (bounds[:, 0] <= bounds[:, 1]).all(axis=1) & usable.all(axis=(1, 2))
+        return np.logical_and.reduce(columns[:3] <= columns[3:]) & np.logical_and.reduce(np.abs(columns) <= LARGEST)
 
 
 class Loop:
@@ -311,7 +311,11 @@ class Loop:
 
     def _dark_but(self, keep: np.ndarray) -> Prepared:
         """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""
-        flags = np.where(keep, self.scene.instances.flags, np.uint8(0))
+        emissive, flags = self.prepared.emissive, self.scene.instances.flags
+        if keep[emissive].all():
+            return self.prepared
+        flags = flags.copy()
+        flags[emissive[~keep[emissive]]] = 0
         return self.prepared.with_instances(dataclasses.replace(self.scene.instances, flags=flags))
 
     def _trace(

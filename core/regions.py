@@ -41,12 +41,13 @@ def spatial_order(bounds: F32) -> I32:
     """
     if not len(bounds):
         return np.zeros(0, np.int32)
-    center = (bounds[:, 0] + bounds[:, 1]) * np.float32(0.5)
-    low = center.min(axis=0)
-    extent = max(float((center.max(axis=0) - low).max()), 1e-30)
-    cell = np.clip((center - low) * np.float32((1 << _MORTON_BITS) / extent), 0, (1 << _MORTON_BITS) - 1).astype(np.uint64)
-    code = _spread(cell[:, 0]) | (_spread(cell[:, 1]) << np.uint64(1)) | (_spread(cell[:, 2]) << np.uint64(2))
-    size = (bounds[:, 1] - bounds[:, 0]).max(axis=1)
+    columns = _columns(bounds)
+    center = (columns[:3] + columns[3:]) * np.float32(0.5)
+    low = center.min(axis=1, keepdims=True)
+    extent = max(float((center.max(axis=1, keepdims=True) - low).max()), 1e-30)
+    x, y, z = np.clip((center - low) * np.float32((1 << _MORTON_BITS) / extent), 0, (1 << _MORTON_BITS) - 1).astype(np.uint64)
+    code = _spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2))
+    size = _longest(columns)
     largest = max(float(size.max()), 1e-30)
     rank = np.clip(-np.log2(np.maximum(size / np.float32(largest), 1e-30)) / 2, 0, _SIZE_CLASSES - 1).astype(np.uint64)
     # The index in the low bits makes keys distinct: a plain sort of integers is then an argsort, stable and several times as fast.
@@ -80,14 +81,14 @@ class Regions:
     """
 
     def __init__(self, bounds: F32, members: np.ndarray | None = None) -> None:
-        """bounds: (N, 2, 3) float32 world boxes; members: indices into it to take (default all)."""
+        """bounds: (N, 2, 3) float32 world boxes; members: ascending indices into it to take (default all)."""
         self.members: I32 = np.arange(len(bounds), dtype=np.int32) if members is None else members.astype(np.int32)
-        boxes = bounds if members is None else bounds[self.members]
+        boxes = bounds if len(self.members) == len(bounds) else bounds.take(self.members, axis=0)
         order = spatial_order(boxes)
         self.order: I32 = self.members[order]
         self.place: I32 = np.full(len(bounds), -1, np.int32)  # of every instance along the curve, -1 for none
         self.place[self.order] = np.arange(len(order), dtype=np.int32)
-        self._bounds: list[F32] = [np.ascontiguousarray(boxes[order])]
+        self._bounds: list[F32] = [boxes.take(order, axis=0)]
         self._extent: list[F32] = [_extents(self._bounds[0])]  # of the largest instance in each node, its longest side
         while len(self._bounds[-1]) > FANOUT:
             self._bounds.append(_enclosing(self._bounds[-1]))
@@ -267,9 +268,20 @@ class Regions:
         return instances[free]
 
 
+def _columns(boxes: F32) -> F32:
+    """Boxes (N, 2, 3) as (6, N): numpy is many times as fast along a long axis as along one of three."""
+    return np.ascontiguousarray(boxes.reshape(-1, 6).T)
+
+
+def _longest(columns: F32) -> F32:
+    """Longest sides of boxes (6, N): (N,)."""
+    sides = columns[3:] - columns[:3]
+    return np.maximum(np.maximum(sides[0], sides[1]), sides[2])
+
+
 def _extents(boxes: F32) -> F32:
-    """Longest sides of boxes."""
-    return (boxes[:, 1] - boxes[:, 0]).max(axis=1, initial=0.0)
+    """Longest sides of boxes (N, 2, 3): (N,)."""
+    return _longest(_columns(boxes))
 
 
 def _enclosing(boxes: F32) -> F32:

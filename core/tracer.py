@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import operator
 import os
 import threading
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,8 @@ from .shading import SceneTable
 from .tlas import Tlas
 
 TILE = 16
+Tile = tuple[int, int, int, int]  # x, y, and where it ends
+_POLL = 0.05  # seconds between looks at progress and cancellation
 _INT32_MAX = 2**31 - 1
 
 
@@ -104,7 +107,7 @@ def trace(
 
     first_sample, seed: which random numbers; the same ones give the same picture and counts, bit for bit, at any number of threads.
     feedback: hits and box crossings are added to it; nearest: boxes counted per segment (hitboxes.ALL_CROSSINGS: every one); hitbox_every: count boxes on
-    one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled between tiles; where it
+    one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled now and then; where it
     says True the picture is returned as far as it is. strategy: path_kernel.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
     log: gets the luminance of each path, and, where feedback is given, what the path met. only: (H, W, samples) uint8, trace those paths that are not 0.
     Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of what is culled, to tell for the parts
@@ -134,23 +137,34 @@ def trace(
     tiles = [(x, y, min(x + TILE, width), min(y + TILE, height)) for y in range(0, height, TILE) for x in range(0, width, TILE)]
     if only is not None:
         tiles = [(x, y, x1, y1) for x, y, x1, y1 in tiles if only[y:y1, x:x1].any()]
-    stop = threading.Event()
+    _run(tiles, lambda tile: kernel.trace_tile(*tile, addresses), threads, f"tracing {width} x {height}, {samples} paths per pixel", progress, cancelled)
+    return Picture(sums, samples, int(stats[kernel.PATHS]), int(stats[kernel.RAYS]), parts)
 
-    def work(tile: tuple[int, int, int, int]) -> None:
-        if not stop.is_set():
-            kernel.trace_tile(*tile, addresses)
+
+def _run(
+    tiles: Sequence[Tile], work: Callable[[Tile], None], threads: int, text: str, progress: Progress, cancelled: Callable[[], bool] | None
+) -> None:
+    """Work on all tiles, each thread on the next one that nobody has taken; progress and cancelled are asked for now and then."""
+    left, stop = iter(tiles), threading.Event()
+
+    def take() -> None:
+        for tile in left:  # list iterators hand out each item once, whoever asks
+            if stop.is_set():
+                return
+            work(tile)
 
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        futures = [pool.submit(work, tile) for tile in tiles]
+        running = {pool.submit(take) for _ in range(min(threads or os.cpu_count() or 1, len(tiles)))}
         try:
-            for done, future in enumerate(as_completed(futures), 1):
-                future.result()
-                progress(done / len(tiles), f"tracing {width} x {height}, {samples} paths per pixel")
+            while running:
                 if cancelled and cancelled():
                     stop.set()
+                done, running = wait(running, _POLL)
+                for future in done:
+                    future.result()
+                progress(1 - operator.length_hint(left) / len(tiles), text)
         finally:
             stop.set()
-    return Picture(sums, samples, int(stats[kernel.PATHS]), int(stats[kernel.RAYS]), parts)
 
 
 def _settings(
