@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy as np
 from ...core.change import Change
 from ...core.errors import InputError
 from ...core.placing import scene_origin
-from ...core.scene import I32, Camera, Records, Scene
-from ..keys import Keys
+from ...core.scene import F32, I32, Camera, Records, Scene
+from ..keys import Keys, Kind
 from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera
 from .depsgraph import STAND_IN
 from .differences import compare
@@ -28,13 +28,15 @@ class Extraction:
     """A frame of a Blender scene. It depends on Blender only through `scene.meshes`, which reads meshes on demand and stays valid after the graph is gone.
 
     scene: what the engine renders. keys: one per instance, finds it again in Blender. warnings: one line each: what is wrong with the input.
-    change: what differs from the frame that was extracted before; None for the first one.
+    change: what differs from the frame that was extracted before; None for the first one. scatters: by the full name of each object that instances by
+    geometry nodes, where its rows are: (R, 3) float32 in its own space, as path[0] of the keys numbers them.
     """
 
     scene: Scene
     keys: Keys
     warnings: tuple[str, ...]
     change: Change | None = None
+    scatters: dict[str, F32] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Frame:
     replaced: I32
     keys: Keys
     warnings: tuple[str, ...]
+    scatters: dict[str, F32]
 
 
 class SceneReader:
@@ -109,7 +112,8 @@ class SceneReader:
             origin=placed.origin,
             approximated=tuple(approximated),
         )
-        return Frame(result, placed, shading, deformed, replaced, Keys(placed.rows.records, tuple(graph.names)), tuple(warnings))
+        scatters = {n.full_name: n.geometry.columns[:, 3, :3] for n in nodes if n.kind == Kind.GEOMETRY_NODES and n.geometry is not None}
+        return Frame(result, placed, shading, deformed, replaced, Keys(placed.rows.records, tuple(graph.names)), tuple(warnings), scatters)
 
     def finish(self, frame: Frame, world: ExtractedWorld) -> Extraction:
         """A frame with its world, and what changed since the last one."""
@@ -129,7 +133,7 @@ class SceneReader:
             shades = frame.shading is not shading or not _same_light(scene, last)
             change = Change(previous, moved, frame.deformed, frame.replaced, shades, not _same_view(scene, last))
         self._placed, self._last = frame.placed, (scene, frame.shading)
-        return Extraction(scene, frame.keys, warnings, change)
+        return Extraction(scene, frame.keys, warnings, change, frame.scatters)
 
     @staticmethod
     def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, None]) -> Records:

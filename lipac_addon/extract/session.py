@@ -56,6 +56,10 @@ class Extractor:
             self._reader.graph.forget()
         return self._reader.finish(frame, world)
 
+    def follow(self, scene: Any) -> None:
+        """Go on with another reference to the same scene: undo makes new ones of everything."""
+        self.scene = self._graph.scene = scene
+
     def release(self) -> None:
         """Put the scene's render settings back, and let Blender free its graph; the next frame gets a new one."""
         self._reader.graph.forget()
