@@ -15,8 +15,8 @@ def main(argv: Sequence[str]) -> int:
     parser = Parser(
         prog="lipac demo",
         description="Write a procedural demo scene to a .blend file.",
-        epilog="mirror-city: streets of instanced buildings, seen in a large mirror. flythrough: the same city; the camera drives through it and turns a "
-        "corner, frames 1-96. crowd: walking characters with skeletons, each deformed on its own, frames 1-48.",
+        epilog="mirror-city: streets of instanced buildings, seen in a large mirror. flythrough: the same city; the camera drives through it, turns a "
+        "corner, and is cut to another place and back, frames 1-120. crowd: walking characters with skeletons, each deformed on its own, frames 1-48.",
     )
     parser.add_argument("name", metavar="NAME", help="mirror-city, flythrough, or crowd (see below)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.blend")

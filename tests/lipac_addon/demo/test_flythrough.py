@@ -1,4 +1,4 @@
-"""flythrough: the camera drives on, turns the corner without a jump, and ends where mirror-city stands; nothing is in its way."""
+"""flythrough: the camera drives on, turns the corner without a jump, is elsewhere for a while, and ends where mirror-city stands; nothing is in its way."""
 
 from __future__ import annotations
 
@@ -20,6 +20,9 @@ def test_the_drive_is_smooth_and_turns_a_corner() -> None:
         matrix = np.array(scene.camera.matrix_world)
         place.append(matrix[:3, 3])
         ahead.append(-matrix[:3, 2])
+    away = slice(flythrough.CUT, flythrough.BACK)
+    assert np.linalg.norm(np.array(place[away])[:, None] - np.delete(place, away, axis=0), axis=2).min() > 80.0  # metres
+    place, ahead = list(np.delete(place, away, axis=0)), list(np.delete(ahead, away, axis=0))
     step = np.linalg.norm(np.diff(place, axis=0), axis=1)
     assert step.max() < 3.0
     assert np.abs(np.diff(step)).max() < 0.5  # metres per frame: no jerk
@@ -35,7 +38,7 @@ def test_nothing_stands_in_the_way() -> None:
     assert len(points) == 3000
     path = flythrough.path()[:, :2]
     distance = np.linalg.norm(points[:, None, :2] - path[None], axis=2).min(axis=1)
-    assert distance[kind < mirror_city.TOWN_HOUSES + mirror_city.SUBURB_HOUSES].min() > 7.0  # houses: half of their width
+    assert distance[kind < mirror_city.TOWN_HOUSES + mirror_city.SUBURB_HOUSES].min() >= 7.0  # houses: half of their width, or of a road
     assert distance.min() > 1.5
 
 
