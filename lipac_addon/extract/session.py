@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from types import TracebackType
 from typing import Any
 
@@ -21,6 +22,8 @@ class Extractor:
 
     Every frame is as if it were extracted alone, but for the numbers of meshes, which stay what they were. While Blender's graph is held (`RenderGraph`),
     Blender evaluates, and we read, what it says has changed; with a new graph everything is read, and compared with what was there.
+
+    read_s: seconds of the last frame that were ours; the others are Blender's, for evaluating it.
     """
 
     def __init__(self, scene: Any, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None) -> None:
@@ -30,6 +33,7 @@ class Extractor:
         self._graph = RenderGraph(scene, view_layer)
         self._reader = SceneReader(allow_no_camera)
         self._given, self._world, self._fingerprint = world, world, ""
+        self.read_s = 0.0
 
     def __enter__(self) -> Extractor:
         return self
@@ -54,7 +58,10 @@ class Extractor:
         self._fingerprint = mark
         if not keep:
             self._reader.graph.forget()
-        return self._reader.finish(frame, world)
+        start = time.perf_counter()
+        extraction = self._reader.finish(frame, world)
+        self.read_s += time.perf_counter() - start
+        return extraction
 
     def follow(self, scene: Any) -> None:
         """Go on with another reference to the same scene: undo makes new ones of everything."""
@@ -67,11 +74,13 @@ class Extractor:
 
     def _read(self, depsgraph: Any, goes_on: bool) -> tuple[Frame, ExtractedWorld | None, str]:
         """What there is to read of a graph: the frame, the world where it needs no render, and what tells that it is another."""
-        world = self._given
+        start, world = time.perf_counter(), self._given
         item = getattr(depsgraph.view_layer_eval, "world_override", None) or depsgraph.scene_eval.world
         if world is None:
             world = constant_world(item)
-        return self._reader.read(depsgraph, goes_on), world, "" if world is not None else fingerprint(item, depsgraph.scene_eval.frame_current)
+        frame = self._reader.read(depsgraph, goes_on)
+        self.read_s = time.perf_counter() - start
+        return frame, world, "" if world is not None else fingerprint(item, depsgraph.scene_eval.frame_current)
 
     def _bake(self) -> ExtractedWorld:
         """The world of the current frame, rendered. Blender then frees the graph."""
