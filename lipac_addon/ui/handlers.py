@@ -1,4 +1,4 @@
-"""Application handlers: culling during renders, recovery on load."""
+"""Application handlers: culling during renders, recovery on load, and what live mode has to know."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from . import applying, job, overlay, results
+from . import applying, job, live, overlay, results
 
 _ENGINE = "LIPAC_EXTRACT"  # our own reading of the scene is a render, too
 
@@ -36,6 +36,7 @@ def after_render(scene: bpy.types.Scene, *_: Any) -> None:
 def before_load(*_: Any) -> None:
     """load_pre: the file that is analysed goes away."""
     job.stop()
+    live.suspend()
 
 
 @persistent
@@ -47,7 +48,25 @@ def after_load(*_: Any) -> None:
         applying.restore()
 
 
+@persistent
+def after_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """depsgraph_update_post, frame_change_post: Blender evaluated what the user changed, or another frame."""
+    if live.current is not None and depsgraph is not None:
+        live.current.note(depsgraph)
+
+
+@persistent
+def before_undo(*_: Any) -> None:
+    """undo_pre, redo_pre: all references into the file are about to die."""
+    if live.current is not None:
+        live.current.forget()
+
+
 _HANDLERS = (
+    (bpy.app.handlers.depsgraph_update_post, after_change),
+    (bpy.app.handlers.frame_change_post, after_change),
+    (bpy.app.handlers.undo_pre, before_undo),
+    (bpy.app.handlers.redo_pre, before_undo),
     (bpy.app.handlers.render_pre, before_frame),
     (bpy.app.handlers.render_complete, after_render),
     (bpy.app.handlers.render_cancel, after_render),

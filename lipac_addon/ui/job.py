@@ -1,72 +1,28 @@
-"""An analysis beside Blender: it reads the file on the main thread, a little at a time, and computes in a worker.
+"""An analysis beside Blender: it reads the file on the main thread, a little at a time, and computes in a thread (`background`).
 
-Blender's Python may be used on the main thread alone, while the analysis loads meshes when light paths ask for them. So the worker gets `AskedMeshes`, which
-hand each request to the main thread and wait, and the job's `step` serves them. A modal operator steps it by a timer, scripts and tests in a loop.
+A modal operator steps it by a timer, scripts and tests in a loop.
 """
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import bpy
-import numpy as np
 
 from ...core.errors import Cancelled, InputError
-from . import applying, props, results
+from . import applying, props, results, scatters
+from .background import AskedMeshes, in_thread
 from .wheels import REINSTALL
 
 if TYPE_CHECKING:
-    from ...core.scene import Mesh
-    from ..extract import Extraction
+    from ...core.frames import Shot
+    from ..extract import Extraction, Extractor
+    from .difference import DifferenceJob
 
-BUDGET = 0.02  # seconds of the main thread that a step may take to serve the worker
-_WAIT = 0.002
-T = TypeVar("T")
-
-
-class AskedMeshes(Sequence["Mesh"]):
-    """Meshes for a worker: each item is loaded by the main thread, when it calls `serve`."""
-
-    def __init__(self, meshes: Sequence[Mesh]) -> None:
-        self._meshes = meshes
-        self._wanted: SimpleQueue[tuple[int, SimpleQueue[Any]]] = SimpleQueue()
-        self._closed = False
-
-    def __len__(self) -> int:
-        return len(self._meshes)
-
-    def __getitem__(self, index: Any) -> Any:
-        """Called by the worker. Raises Cancelled after `close`."""
-        if self._closed:
-            raise Cancelled
-        answer: SimpleQueue[Any] = SimpleQueue()
-        self._wanted.put((index, answer))
-        mesh = answer.get()
-        if isinstance(mesh, BaseException):
-            raise mesh
-        return mesh
-
-    def serve(self, seconds: float) -> None:
-        """Load what is asked for, and what is asked for next, for about so long; called by the main thread."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
-            try:
-                index, answer = self._wanted.get(timeout=min(_WAIT, left))
-            except Empty:
-                return
-            try:
-                answer.put(Cancelled() if self._closed else self._meshes[index])
-            except Exception as error:
-                answer.put(error)
-
-    def close(self) -> None:
-        """Answer no more; called by the main thread, which goes on to serve until the worker has ended."""
-        self._closed = True
+J = TypeVar("J", bound="AnalysisJob | DifferenceJob")
 
 
 class AnalysisJob:
@@ -75,12 +31,16 @@ class AnalysisJob:
     progress: 0 to 1; message: what is being done; error: why it ended without a result, "" where it did not; results: by frame, in the end.
     """
 
-    def __init__(self, scene: bpy.types.Scene, frames: Sequence[int] | None = None) -> None:
-        """frames: None takes those that the scene's settings ask for."""
+    def __init__(self, scene: bpy.types.Scene, frames: Sequence[int] | None = None, bake: bool = False) -> None:
+        """frames: None takes those that the scene's settings ask for. bake: apply one set for all of them."""
         self.progress, self.message, self.error = 0.0, "starting", ""
         self.results: dict[int, results.FrameResult] = {}
         self.done = self.cancelled = self.was_applied = False
+        self.baked: tuple[int, int] | None = None  # instances that some frame needs, and of all
+        self._bake = bake
         self._uid = scene.session_uid
+        self._extractor: Extractor | None = None  # these two go from frame to frame: what did not change is not analysed again
+        self._shot: Shot | None = None
         self._frames = tuple(frames) if frames is not None else asked_frames(scene)
         self._steps = self._run()
 
@@ -117,7 +77,7 @@ class AnalysisJob:
     def _run(self) -> Iterator[None]:
         self.message = "loading; the first time, kernels are compiled, which takes a minute"
         yield
-        yield from self._in_worker(_load_engine)
+        yield from self._in_thread(_load_engine)
         scene = self._scene()
         frame, self.was_applied = scene.frame_current, scene.lipac.applied
         if self.was_applied:
@@ -142,12 +102,16 @@ class AnalysisJob:
         if scene.frame_current != frame:
             scene.frame_set(frame)
         result = results.at(scene)
-        if self.was_applied and result is not None:
+        if self._bake and self.results:
+            shot = results.union(self.results.values())
+            applying.apply(scene, shot)
+            self.baked = int((~shot.culled).sum()), len(shot.culled)
+        elif self.was_applied and result is not None:
             applying.apply(scene, result)
 
     def _analyse(self, number: int, k: int) -> Any:
         """A frame; a generator like `_run` that returns its FrameResult."""
-        from ...core.analysis import analyze
+        from ...core.frames import Shot
 
         n = len(self._frames)
         name = f"frame {number}: " if n > 1 else ""
@@ -159,57 +123,35 @@ class AnalysisJob:
         scene = self._scene()
         extraction = self._extract(scene, number)
         uids = results.session_uids(extraction.keys)
-        pinned = results.instances_of(extraction.keys, _among(uids, props.marked(props.PIN)))
-        options = props.cull_options(scene.lipac)
+        pinned = results.instances_of(extraction.keys, results.among(uids, props.marked(props.PIN)))
+        hosts = [uid for name, uid in zip(extraction.keys.names, uids.tolist(), strict=True) if name in extraction.scatters]
+        prints = scatters.prints_of(scene, hosts)
+        shot = self._shot = self._shot or Shot(props.cull_options(scene.lipac))
         meshes = AskedMeshes(extraction.scene.meshes)
 
         def report(fraction: float, what: str) -> None:
             self.progress, self.message = (k + fraction) / n, name + what
 
-        result = yield from self._in_worker(
-            lambda: analyze(replace(extraction.scene, meshes=meshes), options, report, lambda: self.cancelled, pinned), meshes
-        )
-        return results.FrameResult.of(number, extraction, uids, result)
+        asked = replace(extraction.scene, meshes=meshes)
+        result = yield from self._in_thread(lambda: shot.advance(asked, extraction.change, report, lambda: self.cancelled, pinned), meshes)
+        return replace(results.FrameResult.of(number, extraction, uids, result), prints=prints)
 
     def _extract(self, scene: bpy.types.Scene, number: int) -> Extraction:
         """What a render sees of the frame."""
-        from ..extract import extract_frame
+        from ..extract import Extractor
 
+        self._extractor = self._extractor or Extractor(scene)
+        self._extractor.follow(scene)
         layers = [layer.name for layer in scene.view_layers if layer.use]
-        extraction = extract_frame(scene, number)
+        extraction = self._extractor.frame(number, keep=False)
         if len(layers) > 1:
             line = f"only view layer '{layers[0]}' was analysed: what others alone show may be culled"
             extraction = replace(extraction, warnings=(*extraction.warnings, line))
         return extraction
 
-    def _in_worker(self, work: Callable[[], T], meshes: AskedMeshes | None = None) -> Any:
-        """A generator that has a thread do the work, serves its meshes meanwhile, and returns or raises what it returned or raised."""
-        outcome: list[Any] = []
-
-        def body() -> None:
-            try:
-                outcome.append((work(), None))
-            except BaseException as error:
-                outcome.append((None, error))
-
-        thread = threading.Thread(target=body, name="LiPaC analysis", daemon=True)
-        thread.start()
-        try:
-            while thread.is_alive():
-                if meshes is not None:
-                    meshes.serve(BUDGET)
-                yield
-        finally:  # also when the generator is closed
-            if meshes is not None:
-                meshes.close()
-            while thread.is_alive():
-                self.cancelled = True
-                if meshes is not None:
-                    meshes.serve(_WAIT)
-                thread.join(_WAIT)
-        value, error = outcome[0]
-        if error is not None:
-            raise error
+    def _in_thread(self, work: Callable[[], Any], meshes: AskedMeshes | None = None) -> Any:
+        """`in_thread`, until it is done or cancelled."""
+        value = yield from in_thread(work, self.cancel, meshes)
         self._check()
         return value
 
@@ -237,31 +179,29 @@ def find_scene(uid: int) -> bpy.types.Scene | None:
 
 def asked_frames(scene: bpy.types.Scene) -> tuple[int, ...]:
     """Frames that the settings of a scene ask for."""
-    if scene.lipac.frames == props.RANGE:
-        return tuple(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
-    return (scene.frame_current,)
+    return frame_range(scene) if scene.lipac.frames == props.RANGE else (scene.frame_current,)
 
 
-def _among(uids: Any, objects: set[bpy.types.Object]) -> Any:
-    wanted = {ob.session_uid for ob in objects}
-    return np.array([int(uid) in wanted for uid in uids], bool)
+def frame_range(scene: bpy.types.Scene) -> tuple[int, ...]:
+    """The scene's frames, with its step."""
+    return tuple(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
 
 
 def _load_engine() -> None:
     """Import what the analysis needs: on another thread, for it takes seconds."""
-    from ...core import analysis  # noqa: F401
+    from ...core import frames  # noqa: F401
 
 
-running: AnalysisJob | None = None
+running: AnalysisJob | DifferenceJob | None = None
 
 
-def start(scene: bpy.types.Scene, frames: Sequence[int] | None = None) -> AnalysisJob:
-    """Make the one analysis that the panel shows. Raises InputError where one is running."""
+def start(new: Callable[[], J]) -> J:
+    """Make the one job that the panel shows. Raises InputError where one is running."""
     global running  # noqa: PLW0603
-    if running is not None and not running.done:
+    if is_running():
         raise InputError("an analysis is running; Esc cancels it")
-    running = AnalysisJob(scene, frames)
-    return running
+    running = made = new()
+    return made
 
 
 def stop() -> None:

@@ -1,4 +1,4 @@
-"""Operators: analyse, apply, restore, mark."""
+"""Operators: analyse, live, bake, apply, restore, measure, mark."""
 
 from __future__ import annotations
 
@@ -7,42 +7,62 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import EnumProperty
 
-from . import applying, job, props, results, wheels
+from ...core.errors import InputError
+from . import applying, job, live, props, results, wheels
+from .difference import DifferenceJob
 
+BUSY = "An analysis is running; Esc cancels it"
 INTERVAL = 0.05  # seconds between steps of an analysis
 
 
-class LIPAC_OT_analyze(bpy.types.Operator):
-    """Find out which instances the picture needs, by tracing light paths. Nothing is hidden yet. Esc cancels"""
+class _Modal:
+    """An operator that steps a job beside the user's work. `make` begins it, `finish` says what came of it."""
 
-    bl_idname = "lipac.analyze"
-    bl_label = "Analyze"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if wheels.missing():
-            cls.poll_message_set(f"missing: {', '.join(wheels.missing())}; {wheels.REINSTALL}")
+            cls.poll_message_set(f"missing: {', '.join(wheels.missing())}; {wheels.REINSTALL}")  # type: ignore[attr-defined]
         elif job.is_running():
-            cls.poll_message_set("An analysis is running; Esc cancels it")
+            cls.poll_message_set(BUSY)  # type: ignore[attr-defined]
         elif context.scene.camera is None:
-            cls.poll_message_set("The scene has no active camera")
+            cls.poll_message_set("The scene has no active camera")  # type: ignore[attr-defined]
         else:
             return True
         return False
 
+    def make(self, context: bpy.types.Context) -> Any:
+        """The job."""
+        raise NotImplementedError
+
+    def said(self) -> str:
+        """A line about the job that has succeeded."""
+        raise NotImplementedError
+
+    def begin(self, context: bpy.types.Context) -> set[str]:
+        """Start the job; where that cannot be, say why."""
+        try:
+            self.job = job.start(lambda: self.make(context))
+        except InputError as error:
+            self.report({"ERROR"}, str(error))  # type: ignore[attr-defined]
+            return {"CANCELLED"}
+        return {"RUNNING_MODAL"}
+
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """For scripts: analyse, and return when it is done."""
-        self.job = job.start(context.scene)
+        """For scripts: return when it is done."""
+        if self.begin(context) == {"CANCELLED"}:
+            return {"CANCELLED"}
         self.job.run()
         return self.finish(context)
 
     def invoke(self, context: bpy.types.Context, _event: Any) -> set[str]:
-        """From the panel: analyse beside the user's work."""
-        self.job = job.start(context.scene)
-        self.timer = context.window_manager.event_timer_add(INTERVAL, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        """From the panel: beside the user's work."""
+        begun = self.begin(context)
+        if begun == {"RUNNING_MODAL"}:
+            self.timer = context.window_manager.event_timer_add(INTERVAL, window=context.window)
+            context.window_manager.modal_handler_add(self)
+        return begun
 
     def modal(self, context: bpy.types.Context, event: Any) -> set[str]:
         """Step the job at each tick of the timer."""
@@ -67,16 +87,104 @@ class LIPAC_OT_analyze(bpy.types.Operator):
         """Called when the window closes."""
         self.job.close()
 
+    def wrote(self) -> bool:
+        """Whether the file is other than before, which is a step of undo."""
+        return False
+
     def finish(self, _context: bpy.types.Context) -> set[str]:
-        """Report how it ended; where renders were culled before, they are culled anew, which is a step of undo."""
-        if self.job.was_applied:
-            bpy.ops.ed.undo_push(message="Analyze")
+        """Report how it ended."""
+        if self.wrote():
+            bpy.ops.ed.undo_push(message=self.bl_label)
         if self.job.error:
-            self.report({"WARNING" if self.job.cancelled else "ERROR"}, self.job.error)
+            self.report({"WARNING" if self.job.cancelled else "ERROR"}, self.job.error)  # type: ignore[attr-defined]
             return {"CANCELLED"}
+        self.report({"INFO"}, self.said())  # type: ignore[attr-defined]
+        return {"FINISHED"}
+
+
+class LIPAC_OT_analyze(_Modal, bpy.types.Operator):
+    """Find out which instances the picture needs, by tracing light paths. Nothing is hidden yet. Esc cancels"""
+
+    bl_idname = "lipac.analyze"
+    bl_label = "Analyze"
+
+    def make(self, context: bpy.types.Context) -> job.AnalysisJob:
+        return job.AnalysisJob(context.scene)
+
+    def said(self) -> str:
         culled = [int(r.culled.sum()) for r in self.job.results.values()]
         total = [len(r.culled) for r in self.job.results.values()]
-        self.report({"INFO"}, f"The picture needs {sum(total) - sum(culled):,} of {sum(total):,} instances")
+        return f"The picture needs {sum(total) - sum(culled):,} of {sum(total):,} instances"
+
+    def wrote(self) -> bool:
+        """Where renders were culled before, they are culled anew."""
+        return self.job.was_applied
+
+
+class LIPAC_OT_bake_shot(_Modal, bpy.types.Operator):
+    """Analyze all frames of the scene's range, and hide from renders what none of them needs, until Restore. Nothing flickers. Esc cancels"""
+
+    bl_idname = "lipac.bake_shot"
+    bl_label = "Bake Shot"
+
+    def make(self, context: bpy.types.Context) -> job.AnalysisJob:
+        return job.AnalysisJob(context.scene, job.frame_range(context.scene), bake=True)
+
+    def said(self) -> str:
+        kept, total = self.job.baked
+        return f"The shot needs {kept:,} of {total:,} instances"
+
+    def wrote(self) -> bool:
+        return self.job.was_applied or self.job.baked is not None
+
+
+class LIPAC_OT_difference(_Modal, bpy.types.Operator):
+    """Render this frame in full and culled, and measure what culling saves and changes. The difference is an image of the file. Esc cancels"""
+
+    bl_idname = "lipac.difference"
+    bl_label = "Render Difference"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not super().poll(context):
+            return False
+        if results.at(context.scene) is None:
+            cls.poll_message_set("Analyze this frame first")
+            return False
+        if any(scene.lipac.applied for scene in bpy.data.scenes):
+            cls.poll_message_set("Restore first: the frame is to be rendered in full, too")
+            return False
+        return True
+
+    def make(self, context: bpy.types.Context) -> DifferenceJob:
+        return DifferenceJob(context.scene)
+
+    def said(self) -> str:
+        found = self.job.difference
+        full, culled = found.seconds
+        return f"{full:.1f} s in full, {culled:.1f} s culled; the picture changes by {100 * found.mean:.2f} %"
+
+
+class LIPAC_OT_live(bpy.types.Operator):
+    """Keep analyzing what the viewport shows, while you work and play back; the overlay follows. Renders go by Analyze"""
+
+    bl_idname = "lipac.live"
+    bl_label = "Live"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        if wheels.missing():
+            cls.poll_message_set(f"missing: {', '.join(wheels.missing())}; {wheels.REINSTALL}")
+        return not wheels.missing()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        if live.is_on():
+            live.stop()
+        else:
+            live.start()
+            context.scene.lipac.show_overlay = True
+        props.redraw()
         return {"FINISHED"}
 
 
@@ -93,7 +201,7 @@ class LIPAC_OT_apply(bpy.types.Operator):
             cls.poll_message_set("Analyze this frame first")
             return False
         if job.is_running():
-            cls.poll_message_set("An analysis is running; Esc cancels it")
+            cls.poll_message_set(BUSY)
             return False
         return True
 
@@ -103,10 +211,9 @@ class LIPAC_OT_apply(bpy.types.Operator):
             self.report({"ERROR"}, "analyze this frame first")
             return {"CANCELLED"}
         applied = applying.apply(context.scene, result)
-        removed, kept = int(applied.removed.sum()), applied.kept
-        self.report({"INFO"}, f"Hidden from renders: {removed:,} instances")
-        for reason, count in kept.items():
-            self.report({"WARNING"}, f"{count:,} culled instances stay in renders: {reason}")
+        self.report({"INFO"}, f"Hidden from renders: {int(applied.removed.sum()):,} instances")
+        for line in applying.notes:
+            self.report({"WARNING"}, line)
         return {"FINISHED"}
 
 
@@ -120,7 +227,7 @@ class LIPAC_OT_restore(bpy.types.Operator):
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
         if job.is_running():
-            cls.poll_message_set("An analysis is running; Esc cancels it")
+            cls.poll_message_set(BUSY)
             return False
         return True
 
@@ -161,7 +268,7 @@ class LIPAC_OT_mark(bpy.types.Operator):
         return {"FINISHED"} if editable else {"CANCELLED"}
 
 
-_CLASSES = (LIPAC_OT_analyze, LIPAC_OT_apply, LIPAC_OT_restore, LIPAC_OT_mark)
+_CLASSES = (LIPAC_OT_analyze, LIPAC_OT_live, LIPAC_OT_bake_shot, LIPAC_OT_apply, LIPAC_OT_restore, LIPAC_OT_difference, LIPAC_OT_mark)
 
 
 def register() -> None:
@@ -171,8 +278,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """End a running analysis; unregister the operators."""
-    job.stop()
+    """Forget all results; unregister the operators."""
     results.clear()
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

@@ -16,7 +16,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
 from . import results
-from .boxes import COLORS, CORNERS, EDGES, KINDS, ROW, Boxes, boxes_of
+from .boxes import COLORS, CORNERS, EDGES, HEAT, KINDS, ROW, STATES, Boxes, boxes_of
 from .results import FrameResult
 
 _VERTEX = """
@@ -24,18 +24,23 @@ void main()
 {
   int box = first + gl_InstanceID;
   ivec2 at = ivec2(2 * (box % row), box / row);
-  vec3 low = texelFetch(boxes, at, 0).xyz;
+  vec4 low = texelFetch(boxes, at, 0);
   vec3 high = texelFetch(boxes, at + ivec2(1, 0), 0).xyz;
-  gl_Position = view_projection * vec4(mix(low, high, corner), 1.0);
+  heat = low.w;
+  gl_Position = view_projection * vec4(mix(low.xyz, high, corner), 1.0);
 }
 """
 _FRAGMENT = """
 void main()
 {
-  result = color;
+  float steps = float(textureSize(colors, 0).x - 1);
+  float at = heat * steps;
+  int below = int(at);
+  vec3 hot = mix(texelFetch(colors, ivec2(below, 0), 0).rgb, texelFetch(colors, ivec2(min(below + 1, int(steps)), 0), 0).rgb, at - float(below));
+  result = vec4(use_heat == 1 && heat >= 0.0 ? hot : color.rgb, color.a);
 }
 """
-_MARGIN, _LINE, _SWATCH, _TEXT = 20, 20, 12, 12  # of the legend, in pixels
+_MARGIN, _LINE, _SWATCH, _TEXT, _RAMP = 20, 20, 12, 12, 120  # of the legend, in pixels
 
 
 @dataclass
@@ -49,6 +54,7 @@ class _Drawn:
 
 _shader: Any = None
 _batch: Any = None
+_heat: dict[bool, Any] = {}  # colours of the heat map as textures, by whether they are linear
 _drawn: _Drawn | None = None
 _frozen: dict[int, FrameResult] = {}  # by the scene's session uid
 _handles: list[Any] = []
@@ -61,8 +67,13 @@ def _make_shader() -> Any:
     info.push_constant("VEC4", "color")
     info.push_constant("INT", "first")
     info.push_constant("INT", "row")
+    info.push_constant("INT", "use_heat")
     info.sampler(0, "FLOAT_2D", "boxes")
+    info.sampler(1, "FLOAT_2D", "colors")
     info.vertex_in(0, "VEC3", "corner")
+    between = gpu.types.GPUStageInterfaceInfo("lipac_boxes")
+    between.flat("FLOAT", "heat")
+    info.vertex_out(between)
     info.fragment_out(0, "VEC4", "result")
     info.vertex_source(_VERTEX)
     info.fragment_source(_FRAGMENT)
@@ -75,6 +86,10 @@ def _upload(result: FrameResult) -> _Drawn:
     if _shader is None:
         _shader = _make_shader()
         _batch = batch_for_shader(_shader, "LINES", {"corner": CORNERS}, indices=EDGES)
+        for linear in (False, True):
+            colors = np.ones((len(HEAT), 4), np.float32)
+            colors[:, :3] = [[_to_linear(x) for x in color] for color in HEAT] if linear else HEAT
+            _heat[linear] = gpu.types.GPUTexture((len(HEAT), 1), format="RGBA32F", data=gpu.types.Buffer("FLOAT", colors.size, colors.ravel()))
     if _drawn is None or _drawn.result is not result:
         boxes = boxes_of(result)
         rows, columns, _ = boxes.texels.shape
@@ -95,16 +110,16 @@ def shown(settings: Any) -> tuple[str, ...]:
 
 
 def source(scene: bpy.types.Scene) -> FrameResult | None:
-    """The result to draw for a scene: the frozen one, else that of the current frame."""
+    """The result to draw for a scene: the frozen one, else what live mode found, else that of the current frame."""
     if scene.lipac.freeze and scene.session_uid in _frozen:
         return _frozen[scene.session_uid]
-    return results.at(scene)
+    return results.shown(scene)
 
 
 def freeze(scene: bpy.types.Scene, on: bool) -> None:
     """Keep drawing the current result, or no longer."""
     _frozen.pop(scene.session_uid, None)
-    result = results.at(scene)
+    result = results.shown(scene)
     if on and result is not None:
         _frozen[scene.session_uid] = result
 
@@ -116,10 +131,13 @@ def forget() -> None:
     _frozen.clear()
 
 
-def draw_boxes(result: FrameResult, kinds: tuple[str, ...], opacity: float, view_projection: Any, in_front: bool = False, encodes: bool = False) -> int:
+def draw_boxes(
+    result: FrameResult, kinds: tuple[str, ...], opacity: float, view_projection: Any, in_front: bool = False, encodes: bool = False, heat_map: bool = False
+) -> int:
     """Draw boxes into the active framebuffer; returns the number of draw calls.
 
     view_projection: (4, 4), of the world. in_front: also what geometry hides. encodes: the framebuffer turns linear colours into sRGB, as a viewport's does.
+    heat_map: instances in the colours of HEAT.
     """
     drawn = _upload(result)
     matrix = np.array(view_projection, np.float64)
@@ -132,7 +150,9 @@ def draw_boxes(result: FrameResult, kinds: tuple[str, ...], opacity: float, view
         _shader.bind()
         _shader.uniform_float("view_projection", Matrix(matrix.tolist()))
         _shader.uniform_int("row", ROW)
+        _shader.uniform_int("use_heat", int(heat_map))
         _shader.uniform_sampler("boxes", drawn.texture)
+        _shader.uniform_sampler("colors", _heat[encodes])
         for kind, (first, count) in zip(KINDS, drawn.boxes.ranges, strict=True):
             if kind in kinds and count:
                 _shader.uniform_int("first", first)
@@ -149,43 +169,60 @@ def draw_boxes(result: FrameResult, kinds: tuple[str, ...], opacity: float, view
 
 def legend_of(result: FrameResult, kinds: tuple[str, ...]) -> list[tuple[str, str]]:
     """Lines of the legend: kind and text."""
-    culled = int(result.culled.sum())
+    counts = np.bincount(result.state, minlength=len(STATES))
     texts = {
-        "active": f"active: {len(result.culled) - culled:,} instances",
+        "active": f"active: {counts[STATES['active']]:,} instances",
+        "pending": f"pending: {counts[STATES['pending']]:,} instances that are being built",
         "regions": f"regions that stand in for what is culled: {len(result.regions):,}",
-        "culled": f"culled: {culled:,} instances",
+        "culled": f"culled: {counts[STATES['culled']]:,} instances",
     }
-    return [(kind, texts[kind]) for kind in KINDS if kind in kinds]
+    return [(kind, texts[kind]) for kind in KINDS if kind in kinds and (kind != "pending" or counts[STATES["pending"]])]
 
 
-def draw_legend(result: FrameResult, kinds: tuple[str, ...], scale: float = 1.0) -> None:
+def draw_legend(result: FrameResult, kinds: tuple[str, ...], scale: float = 1.0, heat_map: bool = False) -> None:
     """Draw the legend into the lower left corner of the active framebuffer, in pixels."""
-    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    x, y, side = _MARGIN * scale, _MARGIN * scale, _SWATCH * scale
+    lines = [(kind, text) for kind, text in legend_of(result, kinds) if not heat_map or kind == "regions"]
     gpu.state.blend_set("ALPHA")
-    for k, (kind, text) in enumerate(reversed(legend_of(result, kinds))):
-        x, y, side = _MARGIN * scale, (_MARGIN + k * _LINE) * scale, _SWATCH * scale
-        corners = [(x, y), (x + side, y), (x + side, y + side), (x, y + side)]
-        shader.uniform_float("color", (*COLORS[kind], 1.0))
-        batch_for_shader(shader, "TRIS", {"pos": corners}, indices=[(0, 1, 2), (0, 2, 3)]).draw(shader)
-        blf.size(0, _TEXT * scale)
-        blf.color(0, 0.9, 0.9, 0.9, 1.0)
-        blf.position(0, x + 1.5 * side, y + 0.1 * side, 0)
-        blf.draw(0, text)
+    for kind, text in reversed(lines):
+        _bar(x, y, side, side, [COLORS[kind]] * 2)
+        _text(text, x + 1.5 * side, y + 0.1 * side, scale)
+        y += _LINE * scale
+    if heat_map:
+        _bar(x, y, _RAMP * scale, side, HEAT)
+        _text(f"light paths that meet an instance: 0 to {_upload(result).boxes.hottest:,}", x + _RAMP * scale + 0.5 * side, y + 0.1 * side, scale)
     gpu.state.blend_set("NONE")
+
+
+def _bar(x: float, y: float, width: float, height: float, colors: Any) -> None:
+    """A rectangle in colours from left to right."""
+    at = np.repeat(np.linspace(x, x + width, len(colors)), 2)
+    corners = np.column_stack([at, np.tile([y, y + height], len(colors))]).astype(np.float32)
+    shades = np.repeat(np.column_stack([colors, np.ones(len(colors))]), 2, axis=0).astype(np.float32)
+    shader = gpu.shader.from_builtin("SMOOTH_COLOR")
+    batch_for_shader(shader, "TRI_STRIP", {"pos": corners, "color": shades}).draw(shader)
+
+
+def _text(text: str, x: float, y: float, scale: float) -> None:
+    blf.size(0, _TEXT * scale)
+    blf.color(0, 0.9, 0.9, 0.9, 1.0)
+    blf.position(0, x, y, 0)
+    blf.draw(0, text)
 
 
 def _draw_view() -> None:
     context = bpy.context
     result, settings = source(context.scene), context.scene.lipac
     if settings.show_overlay and result is not None:
-        draw_boxes(result, shown(settings), settings.opacity, context.region_data.perspective_matrix, settings.in_front, encodes=True)
+        matrix = context.region_data.perspective_matrix
+        draw_boxes(result, shown(settings), settings.opacity, matrix, settings.in_front, encodes=True, heat_map=settings.heat_map)
 
 
 def _draw_pixels() -> None:
     context = bpy.context
-    result = source(context.scene)
-    if context.scene.lipac.show_overlay and result is not None:
-        draw_legend(result, shown(context.scene.lipac), context.preferences.system.ui_scale)
+    result, settings = source(context.scene), context.scene.lipac
+    if settings.show_overlay and result is not None:
+        draw_legend(result, shown(settings), context.preferences.system.ui_scale, settings.heat_map)
 
 
 def register() -> None:
@@ -201,3 +238,4 @@ def unregister() -> None:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
     forget()
     _shader = _batch = None
+    _heat.clear()

@@ -2,13 +2,42 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from . import job, props, results, wheels
-from .operators import LIPAC_OT_analyze, LIPAC_OT_apply, LIPAC_OT_mark, LIPAC_OT_restore
+from . import applying, job, live, props, results, wheels
+from .boxes import KINDS
+from .operators import (
+    LIPAC_OT_analyze,
+    LIPAC_OT_apply,
+    LIPAC_OT_bake_shot,
+    LIPAC_OT_difference,
+    LIPAC_OT_live,
+    LIPAC_OT_mark,
+    LIPAC_OT_restore,
+)
 
+if TYPE_CHECKING:
+    from .difference import Difference
+
+_DOCS = Path(__file__).parents[2] / "docs"
+# Blender's Online Manual of a control: places in the guide
+_MANUAL = (
+    ("bpy.types.lipacsettings.show_*", "overlay"),
+    *((f"bpy.types.lipacsettings.{name}", "overlay") for name in ("opacity", "in_front", "freeze", "heat_map")),
+    ("bpy.types.lipacsettings.*", "settings"),
+    ("bpy.types.lipacrole.*", "pin-and-ignore"),
+    ("bpy.types.lipacpreferences.*", "preferences"),
+    ("bpy.ops.lipac.live", "live"),
+    ("bpy.ops.lipac.mark", "pin-and-ignore"),
+    ("bpy.ops.lipac.clear_cache", "preferences"),
+    ("bpy.ops.lipac.difference", "what-it-saves"),
+    ("bpy.ops.lipac.bake_shot", "animations-and-shots"),
+    ("bpy.ops.lipac.*", "three-clicks"),
+)
 _LONGEST = 40  # characters of a line in a sidebar of usual width
 _OWN = {"frustum": "margin", "distance": "distance", "solid-angle": "solid_angle"}
 
@@ -36,7 +65,8 @@ def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
     rows = [
         ("Instances", f"{total:,}"),
         ("Active", f"{active:,} ({100 * active / max(total, 1):.1f} %)"),
-        ("Regions culled", f"{int(stats['hitboxes']):,}"),
+        *([("Pending", f"{int(stats['pending']):,}")] if stats["pending"] else []),
+        ("Hitboxes", f"{int(stats['hitboxes']):,}"),
         ("Memory of the active", size(stats["blas_bytes"] + stats["tlas_bytes"])),
     ]
     if "calibrated_mean" in stats:
@@ -45,26 +75,54 @@ def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
     return rows
 
 
+def rows_of_difference(found: Difference) -> list[tuple[str, str]]:
+    """What two renders say."""
+    (full_s, culled_s), (full_b, culled_b) = found.seconds, found.peak_bytes
+    return [
+        ("Time saved", f"{full_s - culled_s:.1f} of {full_s:.1f} s"),
+        ("Memory saved", f"{size(full_b - culled_b)} of {size(full_b)}"),
+        ("Change, rendered", f"{100 * found.mean:.2f} %, worst {100 * found.worst:.2f} %"),
+    ]
+
+
 def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tuple[str, str]]:
-    """What a result says about an object."""
+    """What a result says about an object, and why."""
     reason = result.reason(ob)
     if not reason.instances:
         return []
     what = "kept" if reason.kept == reason.instances else "culled" if not reason.kept else f"{reason.kept:,} of {reason.instances:,} kept"
     rows = [("This frame", what)]
-    if "calibrated_mean" in result.stats:
-        rows += [(f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n]
-        if not reason.paths.any():
-            rows.append(("Light paths", "none meets it"))
+    if not result.stats["paths"]:
+        return rows
+    if ob.lipac.role == props.PIN:
+        why = "it is pinned"
+    elif not reason.paths.any():
+        why = "no light path meets it"
+    elif not reason.kept:
+        why = "few light paths meet it: losing it stays within the budget"
+    else:
+        why = "light paths meet it"
+    rows.append(("Because", why))
+    rows += [(f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n]
+    if reason.worth > 0:
+        rows.append(("Worth at most", f"{100 * reason.worth:.3g} % of the picture"))
     return rows
 
 
 def _table(layout: bpy.types.UILayout, rows: list[tuple[str, str]]) -> None:
     column = layout.column(align=True)
     for label, text in rows:
-        split = column.split(factor=0.5)
-        split.label(text=label)
-        split.label(text=text)
+        for k, line in enumerate(lines(text, _LONGEST // 2)):
+            split = column.split(factor=0.45)
+            split.label(text="" if k else label)
+            split.label(text=line)
+
+
+def _lines(layout: bpy.types.UILayout, texts: Iterable[str]) -> None:
+    column = layout.column(align=True)
+    for text in texts:
+        for k, line in enumerate(lines(text)):
+            column.label(text=line, icon="INFO" if k == 0 else "BLANK1")
 
 
 class _Sidebar:
@@ -110,7 +168,14 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
             for line in lines(job.running.message):
                 column.label(text=line)
         else:
-            layout.operator(LIPAC_OT_analyze.bl_idname, icon="LIGHT_SUN")
+            row = layout.row(align=True)
+            row.operator(LIPAC_OT_analyze.bl_idname, icon="LIGHT_SUN")
+            row.operator(LIPAC_OT_live.bl_idname, icon="PLAY" if not live.is_on() else "PAUSE", depress=live.is_on())
+        if live.current is not None:
+            column = layout.column(align=True)
+            column.alert = bool(live.current.error)
+            for line in lines(f"Live: {live.current.error or live.current.message}"):
+                column.label(text=line)
         if job.running is not None and job.running.error:
             column = layout.column(align=True)
             column.alert = not job.running.cancelled
@@ -120,7 +185,10 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator(LIPAC_OT_apply.bl_idname, depress=settings.applied)
         row.operator(LIPAC_OT_restore.bl_idname)
+        layout.operator(LIPAC_OT_bake_shot.bl_idname)
         layout.prop(settings, "use_for_renders")
+        if settings.applied or settings.use_for_renders:
+            _lines(layout, applying.notes)
 
 
 class LIPAC_PT_results(_Child, bpy.types.Panel):
@@ -130,17 +198,18 @@ class LIPAC_PT_results(_Child, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, scene = self.layout, context.scene
-        found, result = results.of(scene), results.at(scene)
+        found, result = results.of(scene), results.shown(scene)
         if result is None:
             layout.label(text="This frame was not analyzed" if found else "Nothing analyzed yet")
             return
-        _table(layout, rows_of(result))
-        if len(found) > 1:
+        measured = results.differences.get((scene.session_uid, result.frame)) if result is results.at(scene) else None
+        _table(layout, rows_of(result) + (rows_of_difference(measured) if measured is not None else []))
+        if scene.session_uid in results.live:
+            layout.label(text=f"Live, frame {result.frame}: what the viewport shows")
+        elif len(found) > 1:
             layout.label(text=f"{len(found)} frames analyzed")
-        column = layout.column(align=True)
-        for text in result.warnings:
-            for k, line in enumerate(lines(text)):
-                column.label(text=line, icon="INFO" if k == 0 else "BLANK1")
+        layout.operator(LIPAC_OT_difference.bl_idname)
+        _lines(layout, result.warnings)
 
 
 class LIPAC_PT_object(_Child, bpy.types.Panel):
@@ -149,7 +218,7 @@ class LIPAC_PT_object(_Child, bpy.types.Panel):
     bl_label = "Object and Collection"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, ob, result = self.layout, context.object, results.at(context.scene)
+        layout, ob, result = self.layout, context.object, results.shown(context.scene)
         layout.use_property_split = True
         layout.use_property_decorate = False
         if ob is not None:
@@ -175,9 +244,10 @@ class LIPAC_PT_overlay(_Child, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.lipac
         layout.active = settings.show_overlay
-        row = layout.row(align=True)
-        for name in ("show_active", "show_regions", "show_culled"):
-            row.prop(settings, name, toggle=True)
+        grid = layout.grid_flow(columns=2, align=True)
+        for kind in KINDS:
+            grid.prop(settings, f"show_{kind}", toggle=True)
+        layout.prop(settings, "heat_map")
         layout.prop(settings, "opacity", slider=True)
         layout.prop(settings, "in_front")
         layout.prop(settings, "freeze")
@@ -193,20 +263,28 @@ class LIPAC_PT_advanced(_Child, bpy.types.Panel):
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        for name in ("paths", "width", "seed", "threads"):
+        for name in ("paths", "width", "seed"):
             layout.prop(context.scene.lipac, name)
 
 
 _CLASSES = (LIPAC_PT_main, LIPAC_PT_results, LIPAC_PT_object, LIPAC_PT_overlay, LIPAC_PT_advanced)
 
 
+def manual() -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Where the guide explains each control: the start of all addresses, and pairs of pattern and rest. A zip brings the guide as a page for browsers."""
+    page = next((path for name in ("user-guide.html", "user-guide.md") if (path := _DOCS / name).exists()), _DOCS)
+    return page.as_uri(), tuple((pattern, f"#{place}") for pattern, place in _MANUAL)
+
+
 def register() -> None:
-    """Register the panels."""
+    """Register the panels, and the guide as the manual of all controls."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
+    bpy.utils.register_manual_map(manual)
 
 
 def unregister() -> None:
     """Unregister them."""
+    bpy.utils.unregister_manual_map(manual)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
+
+from . import preferences
 
 if TYPE_CHECKING:
     from ...core.culling import CullOptions
@@ -46,6 +49,17 @@ def _freeze(settings: LipacSettings, _context: bpy.types.Context) -> None:
     redraw()
 
 
+def _role(_owner: LipacRole, _context: bpy.types.Context) -> None:
+    from . import live
+
+    live.touch()
+
+
+def _preferred(name: str) -> Callable[[Any, float, bool], float]:
+    """The value of the preferences, for a scene that sets none."""
+    return lambda _settings, value, is_set: value if is_set else getattr(preferences.get(), name)
+
+
 def redraw() -> None:
     """Have all 3D viewports drawn again."""
     for window in bpy.context.window_manager.windows:
@@ -59,7 +73,13 @@ class LipacSettings(bpy.types.PropertyGroup):
 
     policy: EnumProperty(name="Keep", description="What decides which instances stay in the render", items=POLICIES)  # type: ignore[valid-type]
     max_error: FloatProperty(  # type: ignore[valid-type]
-        name="Error budget", description="How much the picture may change on average. Less keeps more", subtype="PERCENTAGE", default=1.0, min=0.0, max=100.0
+        name="Error budget",
+        description="How much the picture may change on average. Less keeps more",
+        subtype="PERCENTAGE",
+        default=1.0,
+        min=0.0,
+        max=100.0,
+        get_transform=_preferred("max_error"),
     )
     worst_error: FloatProperty(  # type: ignore[valid-type]
         name="Worst tile",
@@ -68,6 +88,7 @@ class LipacSettings(bpy.types.PropertyGroup):
         default=5.0,
         min=0.0,
         max=100.0,
+        get_transform=_preferred("worst_error"),
     )
     margin: FloatProperty(  # type: ignore[valid-type]
         name="Margin", description="Widen the camera's view by this share on each side", default=0.1, min=0.0, soft_max=1.0
@@ -95,7 +116,6 @@ class LipacSettings(bpy.types.PropertyGroup):
         name="Width", description="Width of the analysis picture in pixels", default=240, min=16, soft_max=1920, subtype="PIXEL"
     )
     seed: IntProperty(name="Seed", description="Seed of the analysis' random numbers; the same seed decides the same", default=0, min=0)  # type: ignore[valid-type]
-    threads: IntProperty(name="Threads", description="Threads of the analysis; 0 takes all cores", default=0, min=0, max=1024)  # type: ignore[valid-type]
     use_for_renders: BoolProperty(  # type: ignore[valid-type]
         name="Use for renders",
         description="Cull during renders and animations, and put everything back afterwards. Locks the interface while rendering",
@@ -103,8 +123,12 @@ class LipacSettings(bpy.types.PropertyGroup):
     )
     show_overlay: BoolProperty(name="Overlay", description="Draw the analysed instances as boxes in the viewport", update=_redraw)  # type: ignore[valid-type]
     show_active: BoolProperty(name="Active", description="Boxes of instances that stay", default=True, update=_redraw)  # type: ignore[valid-type]
+    show_pending: BoolProperty(name="Pending", description="Boxes of instances that are wanted and still being built (live mode)", default=True, update=_redraw)  # type: ignore[valid-type]
     show_culled: BoolProperty(name="Culled", description="Boxes of instances that go, one by one", update=_redraw)  # type: ignore[valid-type]
     show_regions: BoolProperty(name="Regions", description="Boxes that stand in for what is culled", default=True, update=_redraw)  # type: ignore[valid-type]
+    heat_map: BoolProperty(  # type: ignore[valid-type]
+        name="Heat Map", description="Colour instances by how many light paths meet them, from dark (none) to bright (most), not by state", update=_redraw
+    )
     opacity: FloatProperty(name="Opacity", description="Opacity of the boxes", subtype="FACTOR", default=0.6, min=0.0, max=1.0, update=_redraw)  # type: ignore[valid-type]
     in_front: BoolProperty(name="In Front", description="Draw boxes also where geometry hides them", update=_redraw)  # type: ignore[valid-type]
     freeze: BoolProperty(  # type: ignore[valid-type]
@@ -119,7 +143,7 @@ class LipacRole(bpy.types.PropertyGroup):
     """What LiPaC may do with an object, or with all objects in a collection."""
 
     role: EnumProperty(  # type: ignore[valid-type]
-        name="Culling", description="Whether the analysis may cull this", items=ROLES, override={"LIBRARY_OVERRIDABLE"}
+        name="Culling", description="Whether the analysis may cull this", items=ROLES, override={"LIBRARY_OVERRIDABLE"}, update=_role
     )
 
 
@@ -141,7 +165,8 @@ def cull_options(settings: LipacSettings) -> CullOptions:
         paths=settings.paths,
         width=settings.width,
         seed=settings.seed,
-        threads=settings.threads,
+        threads=preferences.get().threads,
+        blas_budget_bytes=int(preferences.get().memory * preferences.GIB),
     )
 
 

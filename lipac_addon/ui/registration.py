@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from . import handlers, operators, overlay, panel, props
+import atexit
+
+from . import handlers, job, live, operators, overlay, panel, props
 
 _MODULES = (props, operators, panel, overlay, handlers)
 
@@ -11,9 +13,18 @@ def register() -> None:
     """Register properties, classes, draw handlers and application handlers."""
     for module in _MODULES:
         module.register()
+    atexit.register(_stop)
 
 
 def unregister() -> None:
     """Stop a running analysis and remove everything that `register` added. What was applied to a file stays in it: the file has the record."""
+    atexit.unregister(_stop)
+    _stop()
     for module in reversed(_MODULES):
         module.unregister()
+
+
+def _stop() -> None:
+    """End all threads: also when Blender quits, before Python is taken down under them."""
+    live.stop()
+    job.stop()

@@ -18,9 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.scene import F32
 from ..keys import Keys
 from . import marks, mask
-from .plan import Plan, make_plan
+from .plan import Plan, full_name, make_plan
 
 __all__ = ["WritebackResult", "apply", "restore"]
 
@@ -53,17 +54,19 @@ class WritebackResult:
         }
 
 
-def apply(culled: NDArray[np.bool_], keys: Keys) -> WritebackResult:
+def apply(culled: NDArray[np.bool_], keys: Keys, places: dict[str, F32] | None = None) -> WritebackResult:
     """Remove culled instances from renders of the open file.
 
     culled: (N,) bool, True where an instance goes; keys: of the same N instances, extracted with nothing applied.
+    places: by the full name of an object that instances by geometry nodes, (R, 3) where its rows are, in its own space. A row is then culled only while the
+    instance of its number is there: what an edit numbers anew is not taken for others. Not for objects that move their instances over the frames.
     What an earlier call did is taken back first, so calling twice is as calling once. Raises ValueError where the lengths differ.
     """
     if len(culled) != len(keys.records):
         raise ValueError(f"{len(culled)} states for {len(keys.records)} instances")
     restore()
     plan = make_plan(culled, keys)
-    _write(plan)
+    _write(plan, places or {})
     return WritebackResult(
         plan.removed, plan.kept, len(plan.objects), len(plan.collections), len(plan.masks), len({e.name_full for e, _ in plan.particle_modifiers})
     )
@@ -78,9 +81,9 @@ def restore() -> bool:
     return marks.take_back() or found
 
 
-def _write(plan: Plan) -> None:
+def _write(plan: Plan, places: dict[str, F32]) -> None:
     marks.hide(plan.objects, plan.collections)
     for emitter, modifier in plan.particle_modifiers:
         marks.switch_off(emitter, modifier)
     for host, rows in plan.masks:
-        mask.add(host, rows)
+        mask.add(host, rows, places.get(full_name(host)))

@@ -240,6 +240,11 @@ class _Planner:
         return dict(kept.most_common())
 
 
+def full_name(ob: bpy.types.Object) -> str:
+    """The name of an object in `Keys`."""
+    return ob.name if ob.library is None else f"{ob.library.filepath}\n{ob.name}"
+
+
 def _find(name: str) -> bpy.types.Object | None:
     """An object by its full name: the name, or library path and name joined by a newline."""
     library, _, local = name.rpartition("\n")

@@ -86,18 +86,18 @@ def test_errors_of_input_are_one_line(scene):
 
 
 def test_only_one_at_a_time(scene):
-    first = job.start(scene)
+    first = job.start(lambda: AnalysisJob(scene))
     first.step()
     with pytest.raises(InputError, match="running"):
-        job.start(scene)
+        job.start(lambda: AnalysisJob(scene))
     job.stop()
     assert not job.is_running()
-    job.start(scene).run()
+    job.start(lambda: AnalysisJob(scene)).run()
     assert results.at(scene) is not None
 
 
 def test_opening_a_file_ends_it(scene, boxes_file):
-    running = job.start(scene)
+    running = job.start(lambda: AnalysisJob(scene))
     for _ in range(3):
         running.step()
     bpy.ops.wm.open_mainfile(filepath=str(boxes_file))

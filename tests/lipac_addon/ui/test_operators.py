@@ -107,7 +107,7 @@ def test_linked_objects_and_overrides(scene, boxes_file, hidden):
 def test_polls(scene, monkeypatch):
     assert bpy.ops.lipac.analyze.poll()
     assert not bpy.ops.lipac.apply.poll()
-    job.start(scene).step()
+    job.start(lambda: job.AnalysisJob(scene)).step()
     assert not any(op.poll() for op in (bpy.ops.lipac.analyze, bpy.ops.lipac.apply, bpy.ops.lipac.restore))
     job.stop()
     assert bpy.ops.lipac.restore.poll()
@@ -124,7 +124,7 @@ class Modal:
     modal, finish = operators.LIPAC_OT_analyze.modal, operators.LIPAC_OT_analyze.finish
 
     def __init__(self, scene):
-        self.job, self.timer, self.said = job.start(scene), None, []
+        self.job, self.timer, self.said = job.start(lambda: job.AnalysisJob(scene)), None, []
         manager = SimpleNamespace(event_timer_remove=lambda timer: self.said.append("timer removed"))
         self.context = SimpleNamespace(window_manager=manager, scene=scene)
 

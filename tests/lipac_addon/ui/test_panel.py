@@ -45,7 +45,7 @@ def test_results_and_reason(analyzed, drawn):
 
 
 def test_progress_and_error(scene, drawn):
-    running = job.start(scene)
+    running = job.start(lambda: job.AnalysisJob(scene))
     running.message = "counting sheep"
     assert "counting sheep" in drawn(panel.LIPAC_PT_main)
     running.cancel()
