@@ -86,7 +86,8 @@ class MeshTable:
 
     def keeps_origin(self, index: int) -> bool:
         """Whether the coordinates of a mesh began at its own origin in the frame before, and nothing says otherwise in this one."""
-        return not _differ(self._origins.get(index), None) and not _differ(self.source(index).origin, None)
+        source = self.sources[index]
+        return source is not None and not _differ(self._origins.get(index), None) and not _differ(source.origin, None)
 
     def bounds(self) -> F32:
         """(M, 2, 3) float32, as `core.scene.Scene.mesh_bounds`."""

@@ -164,7 +164,7 @@ class Live:
             if scene is None or self.layer not in scene.view_layers:
                 self.error = "the scene or its view layer was removed"
                 return
-            if not self._is_due(live_options(scene.lipac)):
+            if not self._is_due(scene):
                 yield
                 continue
             try:
@@ -174,15 +174,21 @@ class Live:
             except MemoryError:
                 self._fail("live mode ran out of memory: set a memory budget in the preferences")
 
-    def _is_due(self, options: CullOptions) -> bool:
+    def _is_due(self, scene: bpy.types.Scene) -> bool:
         """Whether there is something to do, and now."""
         from ...core.frames import Shot
 
+        options = live_options(scene.lipac)
         if self._shot is None or self._shot.options != options:
             self._shot, self._rest = Shot(options), 0
             self.error = ""
-        late = self._dirty and time.monotonic() < self._next_read
+        late = self._dirty and (time.monotonic() < self._next_read or self._is_edited(scene))
         return not (self.resting or late or is_busy())
+
+    def _is_edited(self, scene: bpy.types.Scene) -> bool:
+        """Whether a mesh is in Edit Mode: Blender then gives out no faces of it."""
+        active = scene.view_layers[self.layer].objects.active
+        return active is not None and active.mode == "EDIT"
 
     def _round(self, scene: bpy.types.Scene) -> Iterator[None]:
         """Read what changed; do a round of the loop in a thread; take its states."""
@@ -204,12 +210,15 @@ class Live:
         """Read the viewport's graph. Raises InputError where there is nothing to trace."""
         from ..extract.scene import SceneReader
 
-        start = time.perf_counter()
+        if any(other.lipac.applied for other in bpy.data.scenes):
+            self._dirty = False
+            raise InputError("culled instances are hidden from renders: Restore to go on")
         layer = scene.view_layers[self.layer]
         layer.update()
         graph = NotedGraph(layer.depsgraph, self._noted)
         self._noted, self._dirty = {}, False
         world = self._read_world(scene, layer, graph)
+        start = time.perf_counter()
         self._reader, goes_on = self._reader or SceneReader(), self._goes_on
         self._goes_on = False
         extraction = self._reader.finish(self._reader.read(graph, goes_on), world)

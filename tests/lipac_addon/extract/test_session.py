@@ -165,6 +165,15 @@ def test_objects_move_appear_and_vanish() -> None:
     assert [len(e.scene.instances) for e in row] == [4, 2, 2, 4, 5]
 
 
+@pytest.mark.parametrize("keep", [True, False], ids=["graph kept", "graph anew"])
+def test_a_mesh_that_loses_all_its_faces(keep: bool) -> None:
+    """Its object stays, among objects that are as they were."""
+    add("still", wedge())
+    build = add("build", cube("built")).modifiers.new("b", "BUILD")
+    build.frame_start, build.frame_duration, build.use_reverse = 1, 2, True
+    assert [len(e.scene.instances) for e in follow(range(1, 5), keep=keep)] == [2, 2, 1, 1]
+
+
 def test_shapes_and_topology() -> None:
     """Shape keys, a build modifier, an array whose count is animated, a subdivided mesh that is bent, and n-gons whose triangles follow their shape."""
     item = add("shape keys", cube())

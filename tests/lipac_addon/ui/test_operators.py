@@ -121,15 +121,15 @@ def test_polls(scene, monkeypatch):
 class Modal:
     """The modal operator without an event loop: its methods on a plain object."""
 
-    modal, finish = operators.LIPAC_OT_analyze.modal, operators.LIPAC_OT_analyze.finish
+    modal, finish, wrote, said = (getattr(operators.LIPAC_OT_analyze, name) for name in ("modal", "finish", "wrote", "said"))
 
     def __init__(self, scene):
-        self.job, self.timer, self.said = job.start(lambda: job.AnalysisJob(scene)), None, []
-        manager = SimpleNamespace(event_timer_remove=lambda timer: self.said.append("timer removed"))
+        self.job, self.timer, self.heard = job.start(lambda: job.AnalysisJob(scene)), None, []
+        manager = SimpleNamespace(event_timer_remove=lambda timer: self.heard.append("timer removed"))
         self.context = SimpleNamespace(window_manager=manager, scene=scene)
 
     def report(self, kind, text):
-        self.said.append(text)
+        self.heard.append(text)
 
     def event(self, kind):
         return self.modal(self.context, SimpleNamespace(type=kind))
@@ -144,7 +144,7 @@ def test_modal_runs_to_its_end(scene):
     modal = Modal(scene)
     assert modal.event("MOUSEMOVE") == {"PASS_THROUGH"}  # the viewport stays usable
     assert modal.until_done() == {"FINISHED"}
-    assert modal.said == ["timer removed", "The picture needs 6 of 10 instances"]
+    assert modal.heard == ["timer removed", "The picture needs 6 of 10 instances"]
 
 
 def test_modal_escape(scene):
@@ -153,7 +153,7 @@ def test_modal_escape(scene):
     assert modal.event("TIMER") == {"PASS_THROUGH"}
     assert modal.event("ESC") == {"RUNNING_MODAL"}
     assert modal.until_done() == {"CANCELLED"}
-    assert modal.said == ["timer removed", "the analysis was cancelled"]
+    assert modal.heard == ["timer removed", "the analysis was cancelled"]
     assert results.of(scene) == {}
 
 
@@ -182,6 +182,6 @@ def test_an_error_of_ours_leaves_no_timer(scene, monkeypatch):
     modal = Modal(scene)
     with pytest.raises(ZeroDivisionError):
         modal.until_done()
-    assert modal.said == ["timer removed"]
+    assert modal.heard == ["timer removed"]
     assert not job.is_running()
     assert "console" in modal.job.error

