@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -63,7 +63,9 @@ class AskedMeshes(Sequence["Mesh"]):
         self._closed = True
 
 
-def in_thread(work: Callable[[], T], cancel: Callable[[], None], meshes: AskedMeshes | None = None, budget: float = BUDGET) -> Iterator[None]:
+def in_thread(
+    work: Callable[[], T], cancel: Callable[[], None], meshes: AskedMeshes | None = None, budget: float = BUDGET
+) -> Generator[None, None, T]:
     """A generator that has a thread do the work, serves its meshes meanwhile for up to budget seconds a step, and returns or raises what it returned or raised.
 
     When the generator is closed, cancel() is called, and it waits until the thread has ended.

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,8 +98,8 @@ class DifferenceJob:
         _show(pictures)
         self.progress, self.message = 1.0, "done"
 
-    def _render(self, scene: str, folder: Path, what: str) -> Iterator[None]:
-        """A generator that renders a copy and returns what the child said."""
+    def _render(self, scene: str, folder: Path, what: str) -> Generator[None, None, dict[str, float]]:
+        """Render a copy; returns what the child said."""
         program = [sys.executable] if bpy.app.module else [bpy.app.binary_path, "-b", "--python-exit-code", "1", "-P"]
         arguments = [str(folder / f"{what}.blend"), scene, str(self._result.frame), str(folder / f"{what}.exr")]
         with (folder / f"{what}.log").open("w+") as log:
@@ -116,7 +116,8 @@ class DifferenceJob:
             said = [line for line in log if line.startswith("LIPAC ")]
             if child.returncode or not said:
                 raise InputError(f"the {what} render failed: render the frame by F12 to see why")
-        return json.loads(said[-1].removeprefix("LIPAC "))  # type: ignore[return-value]
+        taken: dict[str, float] = json.loads(said[-1].removeprefix("LIPAC "))
+        return taken
 
 
 def _save_copies(scene: bpy.types.Scene, result: results.FrameResult, folder: Path) -> None:

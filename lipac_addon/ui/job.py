@@ -6,7 +6,7 @@ A modal operator steps it by a timer, scripts and tests in a loop.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -109,8 +109,8 @@ class AnalysisJob:
         elif self.was_applied and result is not None:
             applying.apply(scene, result)
 
-    def _analyse(self, number: int, k: int) -> Any:
-        """A frame; a generator like `_run` that returns its FrameResult."""
+    def _analyse(self, number: int, k: int) -> Generator[None, None, results.FrameResult]:
+        """A frame."""
         from ...core.frames import Shot
 
         n = len(self._frames)
@@ -149,7 +149,7 @@ class AnalysisJob:
             extraction = replace(extraction, warnings=(*extraction.warnings, line))
         return extraction
 
-    def _in_thread(self, work: Callable[[], Any], meshes: AskedMeshes | None = None) -> Any:
+    def _in_thread(self, work: Callable[[], Any], meshes: AskedMeshes | None = None) -> Generator[None, None, Any]:
         """`in_thread`, until it is done or cancelled."""
         value = yield from in_thread(work, self.cancel, meshes)
         self._check()

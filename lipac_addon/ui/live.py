@@ -193,21 +193,21 @@ class Live:
     def _round(self, scene: bpy.types.Scene) -> Iterator[None]:
         """Read what changed; do a round of the loop in a thread; take its states."""
         if self._dirty or self._frame is None:
-            self._read(scene)
-            yield
+            yield from self._read(scene)
         frame, shot = self._frame, self._shot
         assert frame is not None
         assert shot is not None
         meshes = AskedMeshes(frame.extraction.scene.meshes)
         asked, change = replace(frame.extraction.scene, meshes=meshes), frame.change
         frame.change = _still()
-        work = in_thread(lambda: shot.advance(asked, change, cancelled=lambda: self.closed, pinned=frame.pinned), lambda: None, meshes, SERVE)
-        result = yield from work  # type: ignore[misc]
+        result = yield from in_thread(
+            lambda: shot.advance(asked, change, cancelled=lambda: self.closed, pinned=frame.pinned), lambda: None, meshes, SERVE
+        )
         yield
         self._show(frame, result)
 
-    def _read(self, scene: bpy.types.Scene) -> None:
-        """Read the viewport's graph. Raises InputError where there is nothing to trace."""
+    def _read(self, scene: bpy.types.Scene) -> Iterator[None]:
+        """Read the viewport's graph in one tick, find out what changed in another. Raises InputError where there is nothing to trace."""
         from ..extract.scene import SceneReader
 
         if any(other.lipac.applied for other in bpy.data.scenes):
@@ -221,14 +221,16 @@ class Live:
         start = time.perf_counter()
         self._reader, goes_on = self._reader or SceneReader(), self._goes_on
         self._goes_on = False
-        extraction = self._reader.finish(self._reader.read(graph, goes_on), world)
-        self._goes_on = True
-        uids = results.session_uids(extraction.keys)
-        pinned = results.instances_of(extraction.keys, results.among(uids, props.marked(props.PIN)))
-        self._frame = _Frame(scene.frame_current, replace(extraction, scatters={}), extraction.change, uids, pinned)
-        self._rest, self.error = 0, ""
+        number, frame = scene.frame_current, self._reader.read(graph, goes_on)
+        self._goes_on, self._rest, self.error = True, 0, ""
+        uids, pins = results.session_uids(frame.keys), props.marked(props.PIN)
+        pinned = results.among(uids, pins) if pins else None
         self.read_s = time.perf_counter() - start
         self._next_read = time.monotonic() + DUTY * self.read_s
+        yield
+        extraction = replace(self._reader.finish(frame, world), scatters={})
+        self._frame = _Frame(number, extraction, extraction.change, uids, None if pinned is None else results.instances_of(frame.keys, pinned))
+        yield
 
     def _read_world(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, graph: NotedGraph) -> ExtractedWorld:
         """The world; one that is not constant is rendered, where it is new or changed."""
@@ -272,7 +274,7 @@ class _Frame:
     extraction: Extraction
     change: Change | None
     uids: I64
-    pinned: np.ndarray
+    pinned: np.ndarray | None
 
 
 def _still() -> Change:

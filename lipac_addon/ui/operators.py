@@ -18,6 +18,8 @@ INTERVAL = 0.05  # seconds between steps of an analysis
 class _Modal:
     """An operator that steps a job beside the user's work. `make` begins it, `finish` says what came of it."""
 
+    job: Any
+    bl_label: str
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     @classmethod

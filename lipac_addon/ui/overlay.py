@@ -80,7 +80,7 @@ def _make_shader() -> Any:
     return gpu.shader.create_from_info(info)
 
 
-def _upload(result: FrameResult) -> _Drawn:
+def upload(result: FrameResult) -> _Drawn:
     """The boxes of a result on the graphics card: made where they are not there."""
     global _shader, _batch, _drawn, uploads  # noqa: PLW0603
     if _shader is None:
@@ -139,7 +139,7 @@ def draw_boxes(
     view_projection: (4, 4), of the world. in_front: also what geometry hides. encodes: the framebuffer turns linear colours into sRGB, as a viewport's does.
     heat_map: instances in the colours of HEAT.
     """
-    drawn = _upload(result)
+    drawn = upload(result)
     matrix = np.array(view_projection, np.float64)
     matrix[:, 3] += matrix[:, :3] @ drawn.boxes.origin  # in double precision: far from the world's origin single is not enough
     gpu.state.blend_set("ALPHA")
@@ -190,7 +190,7 @@ def draw_legend(result: FrameResult, kinds: tuple[str, ...], scale: float = 1.0,
         y += _LINE * scale
     if heat_map:
         _bar(x, y, _RAMP * scale, side, HEAT)
-        _text(f"light paths that meet an instance: 0 to {_upload(result).boxes.hottest:,}", x + _RAMP * scale + 0.5 * side, y + 0.1 * side, scale)
+        _text(f"light paths that meet an instance: 0 to {upload(result).boxes.hottest:,}", x + _RAMP * scale + 0.5 * side, y + 0.1 * side, scale)
     gpu.state.blend_set("NONE")
 
 
