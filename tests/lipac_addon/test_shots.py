@@ -15,6 +15,8 @@ import pytest
 from lipac.core.analysis import analyze
 from lipac.core.culling import CullOptions, State
 from lipac.core.errors import Cancelled
+from lipac.core.frames import Shot
+from lipac.core.loop import COLD_HITS
 from lipac.core.report import Report, States, load_states
 from lipac.lipac_addon.extract import Extractor, extract_frame
 from lipac.lipac_addon.open import open_scene
@@ -22,7 +24,9 @@ from lipac.lipac_addon.pictures import read_picture
 from lipac.lipac_addon.pipeline import SHOT, Job, Session, run
 from lipac.lipac_addon.shot_set import ShotSet
 
-SHARED = Path(__file__).parents[2] / ".." / "shared" / "scenes" / "small"
+from ..core.test_frames import assert_as_alone
+
+SHARED = Path(__file__).parents[2] / ".." / "shared" / "scenes"
 OPTIONS = CullOptions(width=48, paths=2)
 
 
@@ -80,21 +84,57 @@ def test_a_split_range_gives_the_same_states(moving: Any, tmp_path: Path) -> Non
     assert [f["frame"] for f in data["frames"]] == [1, 2, 3, 4, 5, 6]
 
 
-@pytest.mark.parametrize("name", ["CesiumMan.glb", "Fox.glb", "Knight.glb", "animation_instanced.blend", "particle_hair.blend"])
-def test_each_frame_decides_as_a_fresh_start(name: str, tmp_path: Path) -> None:
-    """States, hits and scores of a run, on scenes of others."""
+SUPPLIED = [
+    *(f"small/{name}" for name in ("CesiumMan.glb", "Fox.glb", "Knight.glb", "animation_instanced.blend", "particle_hair.blend", "22_simple_GN.blend")),
+    *("small/gn_nested_instances.blend", "candela_city.blend", "rooms1024.blend"),
+]
+
+
+@pytest.mark.parametrize("name", SUPPLIED)
+def test_each_frame_is_what_a_fresh_start_of_it_is(name: str) -> None:
+    """Scenes of others."""
     if not SHARED.is_dir():
         pytest.skip("the supplied scenes (../shared/scenes) are not here")
     open_scene(SHARED / name)
     scene = bpy.context.scene
-    scene.world = None
+    scene.world = None  # baking it takes long
+    if not any(ob.type == "LIGHT" for ob in scene.objects):
+        bpy.ops.object.light_add(type="SUN", rotation=(0.6, 0.2, 0))
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 48, 27, 100
-    do(tmp_path, (1, 2, 9))
-    states = load_states(tmp_path / "states" / "frame_0009.npz")
-    alone = analyze(extract_frame(scene, 9).scene, OPTIONS)
-    np.testing.assert_array_equal(states.state, alone.state)
-    np.testing.assert_array_equal(states.hits, alone.hits)
-    np.testing.assert_array_equal(states.score, alone.score)
+    assert_as_fresh_starts(scene, (1, 2, 9))
+
+
+def test_each_frame_is_what_a_fresh_start_of_it_is_where_triangles_change(moving: Any) -> None:
+    """One modifier builds a grid face by face, another changes how many copies there are; the camera, and boxes, move and bend."""
+    moving.render.resolution_x, moving.render.resolution_y = 48, 27
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=6, y_subdivisions=6, size=5, location=(0, -2, 2), rotation=(1.2, 0, 0))
+    build = bpy.context.object.modifiers.new("build", "BUILD")
+    build.frame_start, build.frame_duration = 1, 6
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(-4, -3, 1))
+    array = bpy.context.object.modifiers.new("array", "ARRAY")
+    for frame, count in ((1, 2), (4, 9)):
+        array.count = count
+        array.keyframe_insert("count", frame=frame)
+    assert assert_as_fresh_starts(moving, (1, 2, 3, 4, 6)) >= 6  # both, in all but the first
+
+
+def assert_as_fresh_starts(scene: Any, frames: Iterable[int]) -> int:
+    """Frames by themselves: states, hits and scores are those of a fresh start, bit for bit. Warm ones, at rest: states and hits up to the hysteresis.
+
+    Returns how many meshes had other triangles than in the frame before.
+    """
+    at_rest = CullOptions(width=48, paths=4, min_share=4 * COLD_HITS / (48 * 27 * 4), settled=0.0)
+    alone, warm, replaced = Shot(OPTIONS, independent=True), Shot(at_rest), 0
+    with Extractor(scene, allow_no_camera=True) as extractor:
+        for frame in frames:
+            now = extractor.frame(frame)
+            result = alone.advance(now.scene, now.change)
+            expected = analyze(now.scene, OPTIONS)
+            for name in ("state", "hits", "score"):
+                np.testing.assert_array_equal(getattr(result, name), getattr(expected, name))
+            assert_as_alone(warm, warm.advance(now.scene, now.change), now.scene, at_rest)
+            replaced += len(now.change.replaced) if now.change else 0
+    return replaced
 
 
 def test_resuming_does_what_is_missing(moving: Any, tmp_path: Path) -> None:
