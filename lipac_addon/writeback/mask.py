@@ -96,8 +96,8 @@ def _new_group() -> bpy.types.NodeTree:
         node.data_type, node.domain, node.clamp = kind, "POINT", False
     there = group.nodes.new("FunctionNodeCompare")
     there.data_type, there.mode, there.operation = "VECTOR", "ELEMENT", "EQUAL"
-    active = {s.identifier: s for s in there.inputs if s.enabled}
-    active["Epsilon"].default_value = REACH
+    compared = {s.name: s for s in there.inputs if s.enabled}
+    compared["Epsilon"].default_value = REACH
     either, both = (group.nodes.new("FunctionNodeBooleanMath") for _ in range(2))
     either.operation, both.operation = "OR", "AND"
     delete = group.nodes.new("GeometryNodeDeleteGeometry")
@@ -110,8 +110,8 @@ def _new_group() -> bpy.types.NodeTree:
         (info.outputs["Geometry"], place.inputs["Geometry"]),
         (position.outputs["Position"], place.inputs["Value"]),
         (index.outputs["Index"], place.inputs["Index"]),
-        (position.outputs["Position"], active["A_VEC3"]),
-        (place.outputs["Value"], active["B_VEC3"]),
+        (position.outputs["Position"], compared["A"]),
+        (place.outputs["Value"], compared["B"]),
         (there.outputs["Result"], either.inputs[0]),
         (inputs.outputs["Anywhere"], either.inputs[1]),
         (sample.outputs["Value"], both.inputs[0]),
