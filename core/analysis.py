@@ -72,7 +72,8 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     reluctance = np.where(loop.kept[ids], loop.options.hysteresis, 1.0)
     savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.bytes_of, reluctance)
     unseen = unseen_share(measured.met, measured.feedback.paths)
-    base = Base(measured.log)
+    known = any(hits.lamps_known for hits in loop.scene.first_hits.values())
+    base = Base(measured.log, measured.weights.total.astype(np.float64) * measured.weights.unit if known else None)
     loop.timer.add("feedback_s", start)
 
     def without(cull: np.ndarray, only: np.ndarray) -> F32:

@@ -14,26 +14,27 @@ from numba import njit
 from .errors import InputError
 from .scene import F64, I32, I64
 
+SPREAD = 5.0  # of the worst tile's bound to the mean's, by default
 ENTRY_BYTES = 150.0  # of a TLAS entry: 64 bytes of Embree's leaf, 52 of ours, and its share of the inner nodes
 
 
 @dataclass(frozen=True)
 class Budget:
-    """mean: bound of the mean relative change of the picture; worst: of its worst tile, 5 times the mean unless given."""
+    """mean: bound of the mean relative change of the picture; worst: of its worst tile."""
 
     mean: float
     worst: float
 
     @staticmethod
-    def parse(text: str) -> Budget:
-        """'E' or 'E,T', shares of 1: '0.01' or '0.01,0.05'. Raises InputError."""
+    def parse(text: str, spread: float = SPREAD) -> Budget:
+        """'E' or 'E,T', shares of 1: '0.01' or '0.01,0.05'; T is spread times E unless given. Raises InputError."""
         try:
             numbers = [float(part) for part in text.split(",")]
         except ValueError:
             numbers = []
         if not 1 <= len(numbers) <= 2 or not all(0 <= x <= 1 for x in numbers):
             raise InputError(f"--max-error {text}: give E or E,T, each a share between 0 and 1, for example 0.01 or 0.01,0.05")
-        return Budget(numbers[0], numbers[1] if len(numbers) == 2 else min(5 * numbers[0], 1.0))
+        return Budget(numbers[0], numbers[1] if len(numbers) == 2 else min(spread * numbers[0], 1.0))
 
 
 @dataclass(frozen=True)

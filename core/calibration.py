@@ -51,11 +51,12 @@ class Trial:
 class Base:
     """The measured picture by tiles, and what each of its paths met."""
 
-    def __init__(self, log: PathLog) -> None:
+    def __init__(self, log: PathLog, light: F64 | None = None) -> None:
+        """light: (TILES,) luminance of all paths of each tile, where the log leaves some of it out."""
         height, width, samples = log.luminance.shape
         self.log = log
         self.tile: I32 = np.repeat(tiles_of(height, width).ravel(), samples).astype(np.int32)
-        sums = np.bincount(self.tile, log.luminance.ravel(), TILES)
+        sums = np.bincount(self.tile, log.luminance.ravel(), TILES) if light is None else light
         counts = np.maximum(np.bincount(self.tile, minlength=TILES), 1)
         means = sums / counts
         self.light = counts * np.maximum(means, max(DARK * means.mean(), 1e-30))

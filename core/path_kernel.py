@@ -112,8 +112,9 @@ from .shading import (
     I_HITBOX_EVERY,
     I_HITBOX_NEAREST,
     I_STRATEGY,
-) = range(17)
-SETTINGS = 17
+    I_LAMPS_KNOWN,
+) = range(18)
+SETTINGS = 18
 BOTH, LIGHT_ONLY, BSDF_ONLY = 0, 1, 2  # I_STRATEGY: for tests, all agree in the mean
 
 # limits, float32[LIMITS]: clamps (sum over channels, FAR where off), inverse of filter glossy (0: off), exposure, world colour
@@ -442,10 +443,12 @@ def _may_be_blocked(s, w, words, far):
 
 
 @njit(**INNER)
-def _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
-    """What share of light passes along a segment, into w.radiance as a factor; True where some arrives. count: count the hitboxes it crosses."""
+def _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, known):
+    """What share of light passes along a segment, into w.radiance as a factor; True where some arrives. count: count the hitboxes it crosses. known: what
+    blocks it is known without the blocker being built, so that is worth nothing to it."""
     hits_left = max(s.settings[I_TRANSPARENT] - transparent_bounce, 0)
     watched = s.feedback != np.uint64(0)
+    weighed = s.weights != np.uint64(0) and not known
     if not watched and s.settings[I_TRANSPARENT_SHADOWS] == 0:
         _set_ray(w.shadow, w.shadow_words, ox, oy, oz, dx, dy, dz, far, _SHADOW)
         w.stats[RAYS] += 1
@@ -467,14 +470,15 @@ def _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
         instance = np.int64(s.ids[entry])
         if watched:
             _met(s, instance, _SHADOW)
-            _log(s, w, entry)
+            if not known:
+                _log(s, w, entry)
         triangle = np.int64(load_u32(w.shadow_words, PRIM_ID))
         b1, b2 = w.shadow[HIT_U], w.shadow[HIT_V]
         mesh = mesh_record(s.meshes, s.table, instance)
         material = material_of(s.table, mesh, instance, triangle)
         arriving = _luminance(w.radiance[0], w.radiance[1], w.radiance[2])
         if hits_left <= 0 or not transmits_shadow(material):
-            if s.weights != np.uint64(0):
+            if weighed:
                 _worth(s, w, entry, arriving)
             return False
         hits_left -= 1
@@ -482,7 +486,7 @@ def _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
         bsdf_transparency(w.far_params, np.int64(load_u32(material + M_SHADER, 0)), w.out)
         for k in range(3):
             w.radiance[k] *= np.float32(w.out[k])
-        if s.weights != np.uint64(0):
+        if weighed:
             _worth(s, w, entry, arriving - _luminance(w.radiance[0], w.radiance[1], w.radiance[2]))
         if not (w.radiance[0] > _ZERO or w.radiance[1] > _ZERO or w.radiance[2] > _ZERO):
             return False
@@ -582,7 +586,8 @@ def _direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transp
             dx, dy, dz, far = normalize(ex - ox, ey - oy, ez - oz)
         elif t < FAR:
             dx, dy, dz, far = normalize(px + t * dx - ox, py + t * dy - oy, pz + t * dz - oz)
-        if not _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count):
+        known = sorted_out and s.settings[I_LAMPS_KNOWN] != 0
+        if not _shadow(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, known):
             if sorted_out:
                 w.total[_PARTS_AT + SAMPLED_BLOCKED] += unshadowed
             return
@@ -878,6 +883,9 @@ def trace_tile(x0, y0, x1, y1, a):
                     _settle(s, w)
                 if a[A_LUMINANCE] != np.uint64(0):
                     luminance[path] = _luminance(w.total[0], w.total[1], w.total[2])
+                    if record != np.uint64(0) and s.settings[I_LAMPS_KNOWN] != 0:
+                        for part in range(_PARTS_AT + CLEAR, _PARTS_AT + MAYBE + 3, 3):
+                            luminance[path] -= _luminance(w.total[part], w.total[part + 1], w.total[part + 2])
                 r += w.total[0]
                 g += w.total[1]
                 b += w.total[2]

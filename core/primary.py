@@ -63,11 +63,13 @@ class Primary:
     """One pass of first hits.
 
     hits: (H, W) of HIT, rows bottom up. camera: pinhole camera whose rays through the pixel centres met them. meshes: what they lie on is loaded there.
+    lamps_known: a raster's shadow maps tell which light of lamps arrives at them, whatever is built: feedback and path logs leave that light out.
     """
 
     hits: Records
     camera: Camera
     meshes: MeshTable
+    lamps_known: bool = False
 
     @property
     def constants(self) -> F32:

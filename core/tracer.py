@@ -109,7 +109,8 @@ def trace(
     feedback: hits and box crossings are added to it; nearest: boxes counted per segment (hitboxes.ALL_CROSSINGS: every one); hitbox_every: count boxes on
     one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled now and then; where it
     says True the picture is returned as far as it is. strategy: path_kernel.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
-    log: gets the luminance of each path, and, where feedback is given, what the path met. only: (H, W, samples) uint8, trace those paths that are not 0.
+    log: gets the luminance of each path (less light that is known without tracing, `Primary.lamps_known`), and, where feedback is given, what the path met.
+    only: (H, W, samples) uint8, trace those paths that are not 0.
     Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of what is culled, to tell for the parts
     which light of lamps that may block.
     """
@@ -130,6 +131,7 @@ def trace(
     if primary is not None:
         parts, camera = np.zeros((height, width, kernel.PARTS), np.float32), primary.constants
         addresses[kernel.A_PARTS], addresses[kernel.A_CAMERA] = address(parts), address(camera)
+        settings[kernel.I_LAMPS_KNOWN] = primary.lamps_known
         addresses[kernel.A_PRIMARY], addresses[kernel.A_PRIMARY_MESHES] = address(primary.hits), address(primary.meshes.table)
         if boxes is not None and len(boxes):
             addresses[kernel.BOXES], addresses[kernel.A_BOX_COUNTERS] = boxes.handle, address(boxes.counters)

@@ -6,11 +6,9 @@ Blender draws on the main thread; meanwhile a worker decides what is kept, build
 from __future__ import annotations
 
 import dataclasses
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +23,10 @@ from .console import muted
 from .pictures import save_pixels
 from .raster import opengl
 from .raster.denoise import denoise
+from .raster.first_hits import FirstHits
 from .raster.layers import save_layers
 from .raster.passes import Passes, render_passes
+from .timeline import Timeline
 
 if TYPE_CHECKING:
     from ..core.film import Picture
@@ -34,97 +34,18 @@ if TYPE_CHECKING:
     from ..core.loop import CullingResult
     from ..core.primary import Primary
 
-PRIMARY = ("raster", "traced")
-DENOISE = ("on", "off")
 AHEAD_BYTES = 1 << 28  # of first hits that wait to be traced
 MOST_PASSES = 16  # of first hits; more samples than these start several paths at each hit
 
 
 @dataclass(frozen=True)
 class HybridOptions:
-    """gi: one of `core.hybrid.MODES`. primary: "raster", or "traced" without OpenGL. denoise: the traced light. raster_samples: per pixel, EEVEE's."""
+    """gi: one of `core.hybrid.MODES`. primary: one of `raster.first_hits.PRIMARY`. denoise: the traced light. raster_samples: per pixel, EEVEE's."""
 
     gi: str = "path"
     primary: str = "raster"
     denoise: bool = True
     raster_samples: int = 8
-
-
-@dataclass
-class Timeline:
-    """What ran when, in seconds since the frame began: (stage, thread, start, end)."""
-
-    began: float = field(default_factory=time.perf_counter)
-    stages: list[tuple[str, str, float, float]] = field(default_factory=list)
-
-    @contextmanager
-    def stage(self, name: str, thread: str = "main") -> Iterator[None]:
-        """Times a block."""
-        start = time.perf_counter() - self.began
-        try:
-            yield
-        finally:
-            self.stages.append((name, thread, start, time.perf_counter() - self.began))
-
-    @property
-    def overlap(self) -> float:
-        """Seconds in which both threads were at work: what overlapping saved."""
-        main, worker = ([(a, b) for _, t, a, b in self.stages if (t == "main") == wanted] for wanted in (True, False))
-        return sum(max(min(b, d) - max(a, c), 0.0) for a, b in main for c, d in worker)
-
-    @property
-    def seconds(self) -> dict[str, float]:
-        """By stage."""
-        out: dict[str, float] = {}
-        for name, _, start, end in self.stages:
-            out[name] = out.get(name, 0.0) + end - start
-        return out
-
-    def summary(self) -> list[dict[str, Any]]:
-        """For the report, by start; stages of one name that follow each other on a thread are one."""
-        merged: list[dict[str, Any]] = []
-        last: dict[str, dict[str, Any]] = {}
-        for name, thread, start, end in sorted(self.stages, key=lambda s: s[2]):
-            before = last.get(thread)
-            if before and before["stage"] == name:
-                before["end_s"] = end
-            else:
-                last[thread] = {"stage": name, "thread": thread, "start_s": start, "end_s": end}
-                merged.append(last[thread])
-        return merged
-
-
-class FirstHits:
-    """First hits of the whole scene, culled instances included, by a raster or by rays over everything (built for it, and freed again)."""
-
-    def __init__(self, scene: Scene, primary: str, threads: int = 0) -> None:
-        """Raises InputError where there is no OpenGL and primary asks for it."""
-        if primary not in PRIMARY:
-            raise InputError(f"unknown first hits '{primary}': choose one of {', '.join(PRIMARY)}")
-        self.scene = scene
-        self.draw: Callable[[tuple[int, int], int, int], Primary]
-        if primary == "raster":
-            opengl.require()
-            from .raster.gbuffer import GBuffer
-
-            buffer = GBuffer(scene)
-            self.meshes, self.draw = buffer.meshes, buffer.draw
-            return
-        from ..core.blas import BlasCache
-        from ..core.embree import shared_device
-        from ..core.primary import MeshTable, in_view, pass_camera, trace_primary
-        from ..core.tlas import Tlas
-
-        seen = in_view(scene)
-        blas = BlasCache(scene.meshes, shared_device(threads))
-        blas.need(scene.instances.mesh[seen])
-        tlas = Tlas(scene.instances, blas, seen)
-        self.meshes = MeshTable(scene.meshes)
-
-        def draw(size: tuple[int, int], index: int = 0, count: int = 1) -> Primary:
-            return trace_primary(tlas, self.meshes, pass_camera(scene.camera, scene.film, size, index, count), size, scene.instances.mesh)
-
-        self.draw = draw
 
 
 def render_hybrid(
@@ -147,27 +68,28 @@ def render_hybrid(
     from ..core import hybrid
     from ..core.analysis import analyze
 
-    blender_scene, line = bpy.context.scene, Timeline()
+    line = Timeline()
     if options.gi == "none":
-        return _raster_only(scene, options, cull, stem, line)
+        return _without_paths(scene, options, cull, stem, line)
     scene = hybrid.with_mode(scene, options.gi)
+    raster = options.primary == "raster"
     with line.stage("first hits"):
         hits = FirstHits(scene, options.primary, threads)
         scene = dataclasses.replace(scene, meshes=hits.meshes)
         sizes = (cull.picture_size(scene.film), cull.coarse_size(scene.film)) if cull.policy == "light-paths" else ()
-        known = {size: hits.draw(size, 0, 1) for size in sizes}
+        known = {size: dataclasses.replace(hits.draw(size, 0, 1), lamps_known=raster) for size in sizes}
     size, count = (scene.film.width, scene.film.height), min(samples, MOST_PASSES)
     choose = decide or (lambda s: analyze(s, cull, part(progress, 0.0, 0.3), cancelled))
     tracing = _Tracing(scene, samples, count, seed, threads, part(progress, 0.3, 0.95), cancelled, line)
     ahead = min(count, max(AHEAD_BYTES // (size[0] * size[1] * 16), 1))  # what is drawn before EEVEE begins is traced while it renders
+    passes = None
     with ThreadPoolExecutor(1) as worker:
         decided = worker.submit(tracing.decide, lambda: choose(dataclasses.replace(scene, first_hits=known)))
         with line.stage("first hits"):
             jobs = [worker.submit(tracing.trace, hits.draw(size, k, count), k) for k in range(ahead)]
-        passes = None
-        if options.primary == "raster":
+        if raster:
             with line.stage("EEVEE"):
-                passes = render_passes(blender_scene, options.raster_samples)
+                passes = render_passes(bpy.context.scene, options.raster_samples, unshadowed=len(scene.lights) > 0)
         for k in range(ahead, count):
             jobs[-1].result()  # no more than one waits
             with line.stage("first hits"):
@@ -176,50 +98,73 @@ def render_hybrid(
             job.result()
     if cancelled():
         raise Cancelled
-    result, light, layers = tracing.result, tracing.light(), tracing.layers()
-    if options.primary == "raster" and not result.active.any():  # nothing to meet: EEVEE's own sky and probes know more than paths that miss everything
-        return _raster_only(scene, options, cull, stem, line, result)
+    result, layers = tracing.result, tracing.layers()
     with line.stage("combine"):
-        picture = _combine(light, passes, options.denoise, threads, layers)
-        with muted():
-            save_pixels(picture, blender_scene, stem)
-        save_layers(stem.with_name(f"{stem.name}_layers.exr"), layers)
-    spent = line.seconds
-    figures = {
-        "render_s": sum(spent.get(name, 0.0) for name in ("first hits", "EEVEE", "tracing", "combine")),
-        "raster_s": spent.get("first hits", 0.0) + spent.get("EEVEE", 0.0),
-        "overlap_s": line.overlap,
-        "timeline": line.summary(),
-        "render_rays": sum(p.rays for p in tracing.pictures),
-    }
-    return result, figures
+        picture = _combine(tracing.light(), passes, options.denoise, threads, layers)
+    if raster and hybrid.in_question(result):
+        with line.stage("comparison"):
+            own = _nearer_raster(scene, picture, options, cull, cancelled)
+        if own is not None:
+            return result, _save_raster(own, stem, line)
+    with line.stage("saving"):
+        _save(picture, layers, stem)
+    return result, _figures(line, sum(p.rays for p in tracing.pictures))
 
 
-def _raster_only(
-    scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, line: Timeline, result: CullingResult | None = None
-) -> tuple[CullingResult, dict[str, Any]]:
-    """No path at all: EEVEE's picture with all the light that it makes itself. Nothing is met, so everything is culled."""
+def _without_paths(scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, line: Timeline) -> tuple[CullingResult, dict[str, Any]]:
+    """EEVEE's picture with all the light that it makes itself. Nothing is met, so everything is culled."""
     from ..core.loop import Loop
 
     if options.primary != "raster":
         raise InputError("--gi none is a raster and nothing else: it cannot do with --primary traced")
     opengl.require()
     n = len(scene.instances)
+    with line.stage("EEVEE"):
+        passes = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False)
+    result = Loop(scene, cull).result(np.zeros(n, bool), np.zeros(n, np.float32), np.zeros((n, len(RayType)), np.int64))
+    return result, _save_raster(passes, stem, line)
+
+
+def _nearer_raster(scene: Scene, picture: F32, options: HybridOptions, cull: CullOptions, cancelled: Callable[[], bool]) -> Passes | None:
+    """EEVEE's passes with all its own light, where its picture is nearer to what paths show with nothing culled than `picture` is; else None."""
+    from ..core import hybrid
+
     with ThreadPoolExecutor(1) as worker:
-        nothing = np.zeros(n, bool), np.zeros(n, np.float32), np.zeros((n, len(RayType)), np.int64)
-        future = worker.submit(lambda: result or Loop(scene, cull).result(*nothing))
-        with line.stage("EEVEE"):
-            passes = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False)
-        result = future.result()
+        truth = worker.submit(hybrid.reference, scene, cull, cancelled)
+        own = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False)
+    return None if hybrid.is_nearer(truth.result(), picture, own.combined) else own
+
+
+def _save_raster(passes: Passes, stem: Path, line: Timeline) -> dict[str, Any]:
+    """Save EEVEE's picture as the frame's; returns the figures for the report."""
+    with line.stage("saving"):
+        _save(passes.combined, {"Combined": passes.combined} | _raster_layers(passes), stem)
+    return {**_figures(line, 0), "raster_only": True}
+
+
+def _save(picture: F32, layers: dict[str, F32], stem: Path) -> None:
     with muted():
-        save_pixels(passes.combined, bpy.context.scene, stem)
-    save_layers(stem.with_name(f"{stem.name}_layers.exr"), {"Combined": passes.combined} | _raster_layers(passes))
-    spent = line.seconds["EEVEE"]
-    return result, {"render_s": spent, "raster_s": spent, "overlap_s": line.overlap, "timeline": line.summary(), "render_rays": 0}
+        save_pixels(picture, bpy.context.scene, stem)
+    save_layers(stem.with_name(f"{stem.name}_layers.exr"), layers)
+
+
+def _figures(line: Timeline, rays: int) -> dict[str, Any]:
+    """Of the frame, for the report. render_s: of all stages but the analysis and its structures."""
+    spent = line.seconds
+    return {
+        "render_s": sum(seconds for stage, seconds in spent.items() if stage not in ("analysis", "building")),
+        "raster_s": spent.get("first hits", 0.0) + spent.get("EEVEE", 0.0),
+        "overlap_s": line.overlap,
+        "timeline": line.summary(),
+        "render_rays": rays,
+    }
 
 
 class _Tracing:
-    """What the worker does: decides what is kept, builds it, traces pass after pass."""
+    """What the worker does: decides what is kept, builds it, traces pass after pass.
+
+    result: what was decided. pictures: of the passes traced so far.
+    """
 
     result: CullingResult
 
@@ -237,6 +182,7 @@ class _Tracing:
         from ..core.blas import BlasCache
         from ..core.embree import shared_device
         from ..core.hitboxes import Hitboxes
+        from ..core.hybrid import boxes_before_lamps
         from ..core.tlas import Tlas
         from ..core.tracer import prepare
 
@@ -248,7 +194,9 @@ class _Tracing:
             blas.need(self.scene.instances.mesh[active])
             self._tlas = Tlas(self.scene.instances, blas, active)
             self._prepared = prepare(self.scene, blas).with_emitters(active)
-            self._boxes = Hitboxes(result.boxes, device)
+            instances = self.scene.instances
+            blocks = ~active & (instances.flags & (1 << RayType.SHADOW) != 0)
+            self._boxes = Hitboxes(boxes_before_lamps(instances.bounds, blocks), device)
         self.result = result
 
     def trace(self, primary: Primary, index: int) -> None:
@@ -291,7 +239,7 @@ def _decided(primary: Primary, result: CullingResult) -> F32:
 
 def _combine(light: Light, passes: Passes | None, clean: bool, threads: int, layers: dict[str, F32]) -> F32:
     """The picture, (H, W, 4), and its parts into layers."""
-    visible = passes.shadow if passes is not None else None
+    visible = passes.visible if passes is not None else None
     lamps = light.lamps(visible)
     traced = lamps + light.indirect
     layers["Traced Indirect"], layers["Traced Lamps"] = light.indirect, lamps
@@ -307,5 +255,5 @@ def _combine(light: Light, passes: Passes | None, clean: bool, threads: int, lay
 
 
 def _raster_layers(passes: Passes) -> dict[str, F32]:
-    surfaces = {"Raster Direct": passes.direct, "Shadow": passes.shadow, "Raster Albedo": passes.albedo}
+    surfaces = {"Raster Direct": passes.direct, "Shadow": passes.visible, "Raster Albedo": passes.albedo}
     return surfaces | {"Raster Emission": passes.emission, "Raster Environment": passes.environment}

@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from ..core.budget import Budget
-from ..core.culling import POLICIES, CullOptions
+from ..core.budget import SPREAD, Budget
+from ..core.culling import DEFAULT_BUDGET, POLICIES, CullOptions
 from ..core.errors import InputError
 from ..core.progress import Progress, Terminal, silent
 
@@ -45,7 +45,7 @@ def scene_parser(command: str, description: str) -> Parser:
     parser.add_argument("--camera", metavar="NAME", help="camera to use; 'auto' frames the whole scene (default: the scene's)")
     culling = parser.add_argument_group("culling")
     culling.add_argument("--cull", choices=POLICIES, default="light-paths", help="what decides (default: %(default)s)")
-    culling.add_argument("--max-error", type=Budget.parse, metavar="E[,T]", help="light-paths: share by which the picture, and its worst tile, may change")
+    culling.add_argument("--max-error", metavar="E[,T]", help="light-paths: share by which the picture, and its worst tile, may change")
     culling.add_argument("--min-share", type=number, metavar="S", help="light-paths: instead of an error, keep what at least this share of paths meets")
     culling.add_argument("--paths", type=count, metavar="N", help="light-paths: paths per pixel of the analysis (default: as many as the error needs)")
     culling.add_argument("--solid-angle", type=number, metavar="DEG", help="solid-angle: keep what spans at least this angle")
@@ -174,8 +174,13 @@ def _impatient() -> Iterator[None]:
 
 
 def cull_options(args: argparse.Namespace) -> CullOptions:
-    """The culling options of a command line; what it does not say has the defaults of `core`."""
-    given = {name: getattr(args, name) for name in ("max_error", "min_share", "paths", "solid_angle", "distance", "margin")}
+    """The culling options of a command line; what it does not say has the defaults of `core`.
+
+    A hybrid picture shows what is culled all the same, so no tile of it need change by more than the mean may.
+    """
+    spread = 1.0 if getattr(args, "engine", "") == "hybrid" else SPREAD
+    given = {name: getattr(args, name) for name in ("min_share", "paths", "solid_angle", "distance", "margin")}
+    given["max_error"] = Budget.parse(f"{DEFAULT_BUDGET.mean}" if args.max_error is None else args.max_error, spread)
     given["blas_budget_bytes"] = args.blas_budget
     said = {name: value for name, value in given.items() if value is not None}
     return CullOptions(policy=args.cull, seed=args.seed, threads=args.threads, mitigation=not args.no_mitigation, **said)
@@ -195,6 +200,7 @@ def check(args: argparse.Namespace) -> None:
         raise InputError("--no-mitigation has a meaning with --warm alone: frames that decide by themselves have nothing that comes into view")
     if args.scene is not None and not args.scene.exists():
         raise InputError(f"no such file: {args.scene}")
+    cull_options(args)
     output_folder(args.output)
 
 

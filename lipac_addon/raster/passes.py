@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -13,11 +14,12 @@ import bpy
 import numpy as np
 
 from ...core.errors import InputError
+from ...core.film import LUMINANCE
 from ...core.scene import F32
 from ..console import muted
 from ..extract.depsgraph import changed, no_new_images
 
-_PASSES = ("shadow", "diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color", "emit", "environment")
+_PASSES = ("diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color", "emit", "environment")
 _FILE = {
     "media_type": "MULTI_LAYER_IMAGE",
     "file_format": "OPEN_EXR_MULTILAYER",
@@ -25,22 +27,23 @@ _FILE = {
     "use_exr_interleave": True,
     "color_depth": "32",
 }
-_EEVEE = {
-    # Only lamps with shadow maps: the sky, probes and what the screen shows give no light to surfaces, the path tracer does that.
+_LAMPS_ONLY = {
+    # Only lamps: the sky, probes and what the screen shows give no light to surfaces, the path tracer does that.
     "indirect_light_intensity": 0.0,
     "use_raytracing": False,
     "use_fast_gi": False,
     "light_threshold": 1e-5,  # 0 loses shadows, the default cuts dim lamps off
     "use_shadows": True,
 }
+FAINT = 1e-6  # luminance below which half precision tells no shares
 
 
 @dataclass(frozen=True)
 class Passes:
-    """What EEVEE says of a picture, (H, W, 3) float32 each (shadow: (H, W)), linear, rows bottom up, filtered over its samples.
+    """What EEVEE says of a picture, (H, W, 3) float32 each, linear, rows bottom up, filtered over its samples.
 
     combined: (H, W, 4), EEVEE's own picture of the light that it was asked for. diffuse, glossy: light of lamps that arrives and is scattered, their colours
-    not applied. shadow: share of the lamps' light that its shadow maps let arrive.
+    not applied. unshadowed: (H, W, 3), `direct` as it would be if nothing cast a shadow; None where nobody asked.
     """
 
     combined: F32
@@ -50,12 +53,24 @@ class Passes:
     glossy_color: F32
     emission: F32
     environment: F32
-    shadow: F32
+    unshadowed: F32 | None = None
 
     @property
     def direct(self) -> F32:
         """Light of lamps, (H, W, 3)."""
         return self.diffuse * self.diffuse_color + self.glossy * self.glossy_color
+
+    @property
+    def visible(self) -> F32:
+        """Share of the lamps' light that the shadow maps let arrive, (H, W), 1 where there is none or nobody asked.
+
+        It is the light that is compared, not how much of the pixel is in shadow (EEVEE's Shadow pass): half a pixel that faces away from a lamp, and is dark by
+        that, says nothing about shadows on the other half.
+        """
+        if self.unshadowed is None:
+            return np.ones(self.emission.shape[:2], np.float32)
+        arriving, light = (picture @ LUMINANCE for picture in (self.direct, self.unshadowed))
+        return np.where(light > FAINT, np.clip(arriving / np.maximum(light, FAINT), 0, 1), 1).astype(np.float32)
 
     @property
     def albedo(self) -> F32:
@@ -64,14 +79,22 @@ class Passes:
         return np.minimum(np.where(self.environment.any(axis=2, keepdims=True) & ~total.any(axis=2, keepdims=True), np.float32(1), total), np.float32(1))
 
 
-def render_passes(scene: bpy.types.Scene, samples: int = 8, lamps_only: bool = True) -> Passes:
+def render_passes(scene: bpy.types.Scene, samples: int = 8, lamps_only: bool = True, unshadowed: bool = False) -> Passes:
     """Render the current frame of the open file by EEVEE, everything in it, and return its passes; the scene's settings are put back.
 
-    lamps_only: no other light falls on surfaces, for others bring it; else all that EEVEE makes of the scene's settings.
+    lamps_only: no other light falls on surfaces, for others bring it; else all that EEVEE makes of the scene's settings. unshadowed: with lamps_only, render
+    their light without shadows too.
 
     Raises InputError where it cannot be rendered. OpenGL must be there (`opengl.require`).
     """
-    with tempfile.TemporaryDirectory(prefix="lipac-") as folder, _settings(scene, samples, lamps_only, Path(folder) / "passes.exr"), no_new_images():
+    passes = _render(scene, samples, _LAMPS_ONLY if lamps_only else {})
+    if not unshadowed:
+        return passes
+    return dataclasses.replace(passes, unshadowed=_render(scene, samples, {**_LAMPS_ONLY, "use_shadows": False}).direct)
+
+
+def _render(scene: bpy.types.Scene, samples: int, eevee: dict[str, Any]) -> Passes:
+    with tempfile.TemporaryDirectory(prefix="lipac-") as folder, _settings(scene, samples, eevee, Path(folder) / "passes.exr"), no_new_images():
         try:
             with muted():
                 bpy.ops.render.render(write_still=True, scene=scene.name)
@@ -81,15 +104,15 @@ def render_passes(scene: bpy.types.Scene, samples: int = 8, lamps_only: bool = T
 
 
 @contextmanager
-def _settings(scene: bpy.types.Scene, samples: int, lamps_only: bool, path: Path) -> Iterator[None]:
+def _settings(scene: bpy.types.Scene, samples: int, eevee: dict[str, Any], path: Path) -> Iterator[None]:
     layer = next((v for v in scene.view_layers if v.use), scene.view_layers[0])
     with ExitStack() as stack:
         set_ = lambda target, **values: stack.enter_context(changed(target, **_known(target, values)))  # noqa: E731
         plain = {"use_border": False, "use_sequencer": False, "use_compositing": False, "use_multiview": False, "use_persistent_data": False}
         set_(scene.render, engine="BLENDER_EEVEE", filepath=str(path), use_file_extension=True, **plain)
         set_(scene.render.image_settings, **_FILE)
-        set_(scene.eevee, taa_render_samples=samples, **(_EEVEE if lamps_only else {}))
-        if scene.world is not None and lamps_only:
+        set_(scene.eevee, taa_render_samples=samples, **eevee)
+        if scene.world is not None and eevee:
             set_(scene.world, sun_threshold=0.0)
         for other in scene.view_layers:
             set_(other, use=other == layer)
@@ -120,5 +143,4 @@ def _read(path: Path) -> Passes:
         glossy_color=color("Glossy Color"),
         emission=color("Emission"),
         environment=color("Environment"),
-        shadow=color("Shadow").mean(axis=2),
     )

@@ -7,9 +7,12 @@ import pytest
 
 from lipac.core import scene as s
 from lipac.core.blas import BlasCache
+from lipac.core.culling import CullOptions
 from lipac.core.errors import InputError
+from lipac.core.film import LUMINANCE
 from lipac.core.hitboxes import Hitboxes
-from lipac.core.hybrid import MODES, Light, with_mode
+from lipac.core.hybrid import MODES, Light, boxes_before_lamps, with_mode
+from lipac.core.loop import Loop
 from lipac.core.tlas import Tlas
 from lipac.core.tracer import prepare, trace
 
@@ -89,6 +92,47 @@ def test_raster_decides_only_over_what_is_in_doubt():
     black = np.zeros(SIZE[::-1], np.float32)
     assert culled.lamps(black)[free].min() > 0
     assert culled.lamps(black)[ground & ~free].max() == 0
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_analysis_weighs_what_the_picture_loses(known):
+    """Light of lamps at first hits whose shadows the raster knows is not lost with its blocker: no weight, and no part of what a trial compares. The light of
+    the other bounces is, as without a raster."""
+    limits = s.PathLimits(total=1, diffuse=1)
+    scene = dataclasses.replace(shadowed(), limits=limits)
+    size = CullOptions().picture_size(scene.film)
+    hits = dataclasses.replace(first_hits(scene), lamps_known=known)
+    loop = Loop(dataclasses.replace(scene, first_hits={size: hits}), CullOptions(paths=16))
+    loop.ambient = 0.05  # as rounds would find it, about
+    measured = loop.measure(loop.build(np.ones(2, bool)))
+    traced = light(scene, samples=16)
+    lamps, rest = (float((x @ LUMINANCE).mean()) for x in (traced.clear, traced.indirect))
+    assert lamps > 3 * rest > 0
+    # The same paths, so the same sums but for the order in which single precision adds them.
+    assert measured.log.luminance.mean() == pytest.approx(rest if known else lamps + rest, rel=1e-4)
+    assert measured.weights.total.sum() * measured.weights.unit / measured.log.luminance.size == pytest.approx(lamps + rest, rel=1e-3)
+    blocker = int(np.flatnonzero(measured.tlas.ids == 1)[0])
+    denied = measured.weights.light[blocker].sum() * measured.weights.unit / measured.log.luminance.size
+    unblocked = float((light(scene, [True, False], 16).maybe @ LUMINANCE).mean())  # what comes through without it
+    assert denied < 0.5 * unblocked if known else denied > 0.5 * unblocked
+
+
+def test_boxes_of_shadowers():
+    """Every culled instance that can keep light off has a box of its own or shares one, and no other has; sharing is of neighbours."""
+    rng = np.random.default_rng(3)
+    low = rng.uniform(-50, 50, (1000, 3)).astype(np.float32)
+    bounds = np.stack([low, low + 1], axis=1)
+    bounds[7] = [[1, 1, 1], [-1, -1, -1]]  # a mesh without triangles
+    blocks = np.ones(1000, bool)
+    blocks[13] = False
+    alone = boxes_before_lamps(bounds, blocks)
+    assert len(alone) == 998
+    shared = boxes_before_lamps(bounds, blocks, most=100)
+    assert len(shared) <= 100
+    inside = (shared[None, :, 0] <= alone[:, None, 0]).all(axis=2) & (alone[:, None, 1] <= shared[None, :, 1]).all(axis=2)
+    assert inside.any(axis=1).all()
+    volume = np.prod(shared[:, 1] - shared[:, 0], axis=1).mean()
+    assert volume < 0.1 * (100 * 9 / 11) ** 3  # of the box of ten that lie anywhere
 
 
 def test_everything_culled_is_the_raster():

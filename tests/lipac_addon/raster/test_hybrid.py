@@ -132,7 +132,7 @@ def test_report_has_a_timeline(pictures):
     _, folder = pictures
     frame = json.loads((folder / "some" / "report.json").read_text())["frames"][0]
     by_stage = {stage["stage"]: stage for stage in frame["timeline"]}
-    assert {"first hits", "EEVEE", "analysis", "building", "tracing", "combine"} == set(by_stage)
+    assert {"first hits", "EEVEE", "analysis", "building", "tracing", "combine", "saving"} == set(by_stage) - {"comparison"}
     assert by_stage["analysis"]["start_s"] < by_stage["EEVEE"]["end_s"]  # beside each other
     assert 0 < frame["overlap_s"] <= by_stage["EEVEE"]["end_s"]
     assert frame["raster_s"] > 0
@@ -160,13 +160,13 @@ def test_layers_open_in_blender(pictures):
 def test_passes_hold_lamps_alone(boxes):
     """What EEVEE calls direct is the sun's light: gone without the sun, though the sky shines. Settings are as before."""
     before = [(k, str(getattr(boxes.eevee, k))) for k in ("taa_render_samples", "use_raytracing", "light_threshold")]
-    lit = render_passes(boxes, 1)
+    lit = render_passes(boxes, 1, unshadowed=True)
     sun = next(o for o in boxes.objects if o.type == "LIGHT")
     sun.hide_render = True
     dark = render_passes(boxes, 1)
     assert lit.direct.mean() > 0.05
     assert dark.direct.max() < 1e-3
-    assert lit.shadow.min() < 0.1 and lit.shadow.max() == 1
+    assert lit.visible.min() < 0.1 and lit.visible.max() == 1
     assert lit.diffuse_color.max() == pytest.approx(0.8, abs=0.05)  # the diffuse lobe alone
     assert [(k, str(getattr(boxes.eevee, k))) for k, _ in before] == before
     assert not boxes.view_layers[0].use_pass_shadow
