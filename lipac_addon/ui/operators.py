@@ -68,7 +68,8 @@ class _Modal:
 
     def modal(self, context: bpy.types.Context, event: Any) -> set[str]:
         """Step the job at each tick of the timer."""
-        if self.job is not job.running:  # ended by a file that was opened
+        ended = self.job is not job.running  # by a file that was opened
+        if ended:
             context.window_manager.event_timer_remove(self.timer)
             return {"CANCELLED"}
         if event.type == "ESC":

@@ -141,17 +141,18 @@ def union(frames: Collection[FrameResult]) -> FrameResult:
     from ...core.report import States
     from ..shot_set import ShotSet
 
-    shot = ShotSet()
+    shot, name_of = ShotSet(), dict[str, str]()
     for frame in frames:
         columns = {name: frame.keys.records[name] for name in ("kind", "host", "object", "path")}
-        names = tuple(f"{uid} {name}" for uid, name in zip(frame.uids.tolist(), frame.keys.names, strict=True))
-        shot.add(States(frame.state, frame.score, frame.hits, columns, names))
-    uids, names = zip(*(text.split(" ", 1) for text in shot.keys.names), strict=True) if shot.keys.names else ((), ())
+        tags = tuple(str(uid) if uid >= 0 else f"-1 {name}" for uid, name in zip(frame.uids.tolist(), frame.keys.names, strict=True))
+        name_of |= zip(tags, frame.keys.names, strict=True)  # names may change from frame to frame
+        shot.add(States(frame.state, frame.score, frame.hits, columns, tags))
+    uids = np.array([int(tag.split()[0]) for tag in shot.keys.names], np.int64)
     state = np.where(shot.active, np.uint8(ACTIVE), np.uint8(CULLED))
     nothing, boxes = np.zeros(0, np.float32), np.zeros((0, 2, 3), np.float32)
     last = next(reversed(list(frames)))
-    keys = Keys(shot.keys.records, names)
-    return FrameResult(last.frame, keys, np.array(uids, np.int64), state, nothing, np.zeros((0, len(RAYS)), np.int64), boxes, boxes, last.origin, {}, ())
+    keys = Keys(shot.keys.records, tuple(name_of[tag] for tag in shot.keys.names))
+    return FrameResult(last.frame, keys, uids, state, nothing, np.zeros((0, len(RAYS)), np.int64), boxes, boxes, last.origin, {}, ())
 
 
 def shown(scene: bpy.types.Scene) -> FrameResult | None:
