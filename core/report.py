@@ -43,7 +43,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def alone(folder: Path) -> Iterator[None]:
     """A block that no other process is in for the same folder."""
     if os.name == "nt":
         import msvcrt
@@ -150,7 +150,7 @@ class Report:
 
     def write(self, folder: Path) -> None:
         """Write folder/report.json: the frames that it has already, where it is of the same kind, and this command's."""
-        with _alone(folder):
+        with alone(folder):
             data, found = self.as_dict(), _found(folder)
             if found is not None and not self._differences(found):
                 own = {frame["frame"] for frame in self.frames}

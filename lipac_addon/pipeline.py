@@ -16,7 +16,7 @@ import numpy as np
 from ..core.culling import CullOptions, State
 from ..core.errors import Cancelled
 from ..core.progress import Progress, part, silent
-from ..core.report import Report, load_states, save_states
+from ..core.report import Report, alone, load_states, save_states
 from ..core.scene import RAY_TYPES, Scene
 from . import writeback
 from .baked import save_baked
@@ -54,7 +54,8 @@ class Job:
 
     hybrid: for the engine of that name. bake: FRAME, each frame by itself, or SHOT, in all frames what any of them needs. save: where to save the .blend with
     the set of the shot baked in. resume: leave frames alone that the folder has already. warm: a frame begins with what the one before it needed, and keeps
-    what that kept as long as it is worth something (hysteresis); else frames decide by themselves, and ranges can be split.
+    what that kept as long as it is worth something (hysteresis); else frames decide by themselves, and ranges can be split. shot: the frames that a set is for,
+    where `frames` are a part of them; other processes may do other parts into the same folder.
     """
 
     folder: Path
@@ -69,6 +70,7 @@ class Job:
     save: Path | None = None
     resume: bool = False
     warm: bool = False
+    shot: tuple[int, ...] = ()
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""
@@ -104,9 +106,10 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     Raises Cancelled soon after cancelled() says so.
     """
     (job.folder / "states").mkdir(parents=True, exist_ok=True)
-    reported = report.finished(job.folder) if job.resume else None
-    finished = {frame for frame in reported or () if job.is_finished(frame)}
-    _sweep(job, keep_analyses=reported is not None)
+    reported = report.finished(job.folder)
+    finished = {frame for frame in reported or () if job.resume and job.is_finished(frame)}
+    with alone(job.folder):
+        _sweep(job, keep_analyses=reported is not None and (job.resume or bool(job.shot)))
     report.write(job.folder)
     with muted():
         writeback.restore()
@@ -125,8 +128,8 @@ def _sweep(job: Job, keep_analyses: bool) -> None:
     for frame in job.frames:
         for path in (job.states(frame), job.analysis(frame), *job.pictures(frame)):
             path.with_name(f".{path.stem}.part{path.suffix}").unlink(missing_ok=True)
-        if not keep_analyses:
-            job.analysis(frame).unlink(missing_ok=True)
+    for frame in () if keep_analyses else job.shot or job.frames:
+        job.analysis(frame).unlink(missing_ok=True)
 
 
 class Session:
@@ -254,11 +257,11 @@ def write_back(culled: np.ndarray, keys: Keys, entry: dict[str, Any]) -> list[st
 
 
 def _run_shot(job: Job, finished: set[int], report: Report, progress: Progress, cancelled: Cancel) -> None:
-    """Find out what each frame needs; then do all of them with what any of them does."""
+    """Find out what each frame of the shot needs; then do the job's with what any of them does."""
     share = ANALYSIS_SHARE if job.engine else 0.9
     _analyse(job, report, part(progress, 0.0, share), cancelled)
     shot = ShotSet()
-    for frame in job.frames:
+    for frame in job.shot or job.frames:
         shot.add(load_states(job.analysis(frame)))
     if job.save is not None or job.engine in BLENDER_ENGINES:
         written: dict[str, Any] = {}
@@ -306,18 +309,27 @@ def _render_kept(session: Session, frame: int, active: np.ndarray, entry: dict[s
 
 
 def _analyse(job: Job, report: Report, progress: Progress, cancelled: Cancel) -> None:
-    """Save what each frame needs by itself, for those that have not been looked at yet."""
+    """Save what each frame of the shot needs by itself, for those that have not been looked at yet.
+
+    The job's own come first, then, from the last one on, those that no other process has done by then: so two that share a shot meet in the middle.
+    """
     (job.folder / "analysis").mkdir(exist_ok=True)
-    todo = [frame for frame in job.frames if job.warm or not job.analysis(frame).exists()]
+    others = [frame for frame in reversed(job.shot) if frame not in job.frames]
+    todo = [frame for frame in (*job.frames, *others) if job.warm or not job.analysis(frame).exists()]
     with Session(job) as session:
         for k, frame in enumerate(todo):
+            if not job.warm and job.analysis(frame).exists():
+                continue
             within = part(progress, k / len(todo), (k + 1) / len(todo), f"frame {frame}: ")
             extraction, entry = session.sync(frame)
             check(cancelled)
             result = session.decide(extraction, None, within, cancelled)
             entry |= result.stats
             keys = extraction.keys
-            save_states(job.analysis(frame), result.state, result.score, result.hits, keys.records, keys.names, json.dumps(entry, default=float))
+            with alone(job.folder):
+                if not job.analysis(frame).exists():
+                    note = json.dumps(entry, default=float)
+                    save_states(job.analysis(frame), result.state, result.score, result.hits, keys.records, keys.names, note)
             report.note(report.approximated, extraction.scene.approximated)
             report.note(report.warnings, extraction.warnings)
             report.write(job.folder)

@@ -53,6 +53,8 @@ def scene_parser(command: str, description: str) -> Parser:
     culling.add_argument("--margin", type=number, metavar="S", help="frustum: widen the picture by this share of it")
     shot = parser.add_argument_group("frames of a shot")
     shot.add_argument("--bake", choices=("frame", "shot"), default="frame", help="frame: what each frame needs; shot: in all frames what any of them needs")
+    part = "with --bake shot: the frames that the set is for, where --frames are a part of them: so a shot can be split"
+    shot.add_argument("--shot", type=frame_range, metavar="A-B", help=part)
     shot.add_argument("--resume", action="store_true", help="leave frames alone that DIR has already, by the same options")
     shot.add_argument("--warm", action="store_true", help="begin each frame with what the one before it needed, and be slow to cull (hysteresis)")
     shot.add_argument("--no-mitigation", action="store_true", help="with --warm: do not activate what comes into view before light paths ask for it")
@@ -198,6 +200,10 @@ def check(args: argparse.Namespace) -> None:
         raise InputError(f"--seed {args.seed}: give a number from 0 to {2**31 - 1}")
     if args.no_mitigation and not args.warm:
         raise InputError("--no-mitigation has a meaning with --warm alone: frames that decide by themselves have nothing that comes into view")
+    if args.shot is not None and (args.bake != "shot" or args.warm):
+        raise InputError("--shot is for --bake shot without --warm: other frames decide by themselves, or by all before them")
+    if args.shot is not None and not (args.frames and set(args.frames) <= set(args.shot)):
+        raise InputError("--shot goes with --frames that are a part of it")
     if args.scene is not None and not args.scene.exists():
         raise InputError(f"no such file: {args.scene}")
     cull_options(args)
@@ -234,7 +240,7 @@ def do_frames(
         if scene.camera is None:
             raise InputError(f"scene '{scene.name}' has no camera: add one and make it active, or use --camera {AUTO} to frame everything")
         frames, mixed = args.frames or (scene.frame_current,), HybridOptions(**(hybrid or {}))
-        more = (mixed, args.bake, save, args.resume, args.warm)
+        more = (mixed, args.bake, save, args.resume, args.warm, args.shot or ())
         job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more)
         report = new_report(args, job)
         if args.resume and (others := report.other_options(args.output)):
@@ -262,7 +268,8 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     if job.engine == "hybrid":
         options["hybrid"] = dataclasses.asdict(job.hybrid)
     if job.bake == SHOT or job.warm:
-        options["frames"] = [job.frames[0], job.frames[-1]]
+        together = job.shot or job.frames
+        options["frames"] = [together[0], together[-1]]
     threads = args.threads or os.cpu_count() or 1
     return Report(str(path), bpy.app.version_string, own_version(), args.cull, job.engine, args.seed, threads, options)
 

@@ -215,6 +215,22 @@ def test_a_shot_is_resumed(moving: Any, tmp_path: Path) -> None:
     assert files(tmp_path) == files(tmp_path / "at once")
 
 
+def test_a_shot_is_split(moving: Any, tmp_path: Path) -> None:
+    """Parts of it in one folder give the states of the whole; what one has found out the other does not look at again; of other options nothing is taken."""
+    whole = tuple(range(1, 7))
+    do(tmp_path / "whole", whole, bake=SHOT)
+    do(tmp_path / "parts", (1,), bake=SHOT, shot=whole, options=CullOptions(width=24, paths=1))
+    (tmp_path / "parts" / "report.json").unlink()
+    do(tmp_path / "parts", (1, 2), bake=SHOT, shot=whole)
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "parts" / "analysis").glob("*.npz")}
+    assert len(before) == 6
+    do(tmp_path / "parts", (3, 4, 5, 6), bake=SHOT, shot=whole)
+    assert before == {p: p.stat().st_mtime_ns for p in before}
+    assert files(tmp_path / "whole") == files(tmp_path / "parts")
+    report_of_both = json.loads((tmp_path / "parts" / "report.json").read_text())
+    assert [f["frame"] for f in report_of_both["frames"]] == list(whole)
+
+
 def test_a_baked_file_renders_the_same_without_us(moving: Any, tmp_path: Path) -> None:
     """Cycles on the saved copy, opened and rendered with nothing of ours, gives the pictures of the command; the open file is as it was."""
     moving.cycles.seed = 0

@@ -75,10 +75,11 @@ def test_killed_again_and_again_then_resumed(blend, tmp_path):
     assert not list(tmp_path.rglob(".*.part.*"))
 
 
-def test_two_processes_at_a_time_for_one_folder(blend, tmp_path):
+@pytest.mark.parametrize("bake", [[], ["--bake", "shot"]], ids=["frames", "shot"])
+def test_two_processes_at_a_time_for_one_folder(blend, tmp_path, bake):
     """Halves of a range give the states of the whole, and one report."""
-    arguments = ["analyze", blend, *SMALL[2:]]
-    halves = [started(*arguments, "-o", tmp_path / "halves", "--frames", part) for part in ("1-2", "3-4")]
+    arguments, shot = ["analyze", blend, *SMALL[2:], *bake], ["--shot", "1-4"] if bake else []
+    halves = [started(*arguments, "-o", tmp_path / "halves", "--frames", part, *shot) for part in ("1-2", "3-4")]
     assert [p.communicate()[1] for p in halves] == ["", ""]
     assert main([*map(str, arguments), "-o", str(tmp_path / "whole"), "--frames", "1-4"]) == 0
     assert len(states(tmp_path / "whole")) == 4
@@ -121,6 +122,9 @@ BAD = [
     (["--bake", "x"], "invalid choice"),
     (["--blas-budget", "much"], "is no size"),
     (["--no-mitigation"], "--warm"),
+    (["--shot", "1-4"], "--bake shot"),
+    (["--shot", "1-4", "--bake", "shot"], "--frames"),
+    (["--shot", "1-4", "--bake", "shot", "--frames", "4-5"], "a part of it"),
 ]
 
 
