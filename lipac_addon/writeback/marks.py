@@ -2,8 +2,8 @@
 
 The mark lives and travels with what it speaks of: it survives saving, loading, a crash, renaming and duplication (a copy of a hidden object is shown again,
 too).
-A mark is a list of words: "hide_render" for the data-block's own switch, "particles:NAME" for the render switch of the modifier NAME, "active:NAME" for the
-modifier that was active before a mask came. All switches were on before, else they are not touched, so the old value needs no storing.
+A mark is a list of words: "hide_render" for the data-block's own switch, "particles:NAME" for the render switch of the modifier NAME. All switches were on
+before, else they are not touched, so the old value needs no storing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 KEY = "lipac_writeback"
 HIDDEN = "hide_render"
 PARTICLES = "particles:"
-ACTIVE = "active:"
 
 
 def words(block: bpy.types.ID) -> list[str]:
@@ -58,8 +57,6 @@ def take_back() -> bool:
                 hidden.append(ob)
             elif word.startswith(PARTICLES) and (modifier := ob.modifiers.get(word.removeprefix(PARTICLES))) is not None:
                 modifier.show_render = True
-            elif word.startswith(ACTIVE) and (modifier := ob.modifiers.get(word.removeprefix(ACTIVE))) is not None:
-                ob.modifiers.active = modifier
     _set_hidden(hidden, False)
     for ob in objects:
         del ob[KEY]

@@ -40,7 +40,6 @@ def add(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32 | None = No
     _set_input(modifier, sockets["Anywhere"], places is None)
     if active is not None:
         host.modifiers.active = active
-        marks.add(host, marks.ACTIVE + active.name)
 
 
 def remove_all() -> bool:
