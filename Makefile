@@ -2,13 +2,14 @@
 # make demo      build the demo scene, cull it, render it full and culled: out/demo
 # make results   docs/results.md: cost against error of every policy on every scene (an hour)
 # make accuracy  docs/accuracy.md: every hard case, measured (minutes)
+# make animation docs/animation.md: animated scenes, measured (half an hour; single parts: lipac bench --only PART)
 # make test      ruff, mypy, every test
 # make extension one zip per platform, to install in Blender: dist
 # PYTHON=/path/to/python picks the interpreter (default: a Python 3.13, else 3.11), VENV=folder the environment.
 
 VENV ?= .venv
 BIN := $(VENV)/bin
-.PHONY: install demo results accuracy test smoke check clean
+.PHONY: install demo results accuracy animation test smoke check clean
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -18,6 +19,9 @@ results: install
 	$(BIN)/lipac evaluate --all -o docs/results --budget-check 5 --ray-budget
 accuracy: $(VENV)/.installed-test
 	$(BIN)/python -m lipac.scripts.accuracy
+animation: install
+	$(BIN)/lipac bench -o out/bench --only animation
+	cp -r out/bench/animation.md out/bench/animation docs
 extension: install
 	$(BIN)/python -m lipac.scripts.make_extension
 # Tests run even where lint or types complain, so that one look shows everything; any of the three fails the target.

@@ -16,19 +16,22 @@ from typing import Any
 from . import compare
 from .compare import CULLED, FULL, OTHER_SEED, cores, markdown
 
-PARTS = ("rays", "paths", "extraction", "city", "compiling")
+PEERS = ("rays", "paths", "extraction", "city", "compiling")
+ANIMATION = ("crowd", "character", "flythrough", "shot", "growth", "rest", "memory", "pictures")
+PARTS = (*PEERS, *ANIMATION)
 CITY = 1_000_000
 CITY_OPTIONS = ("--resolution", "320x180", "--samples", "4")
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run what is not measured yet, write benchmarks.json and benchmarks.md, print the table; returns the exit status."""
+    """Run what is not measured yet, write benchmarks.json, benchmarks.md and animation.md, print them; returns the exit status."""
     from ..core.report import output_folder
     from .options import Parser
 
-    parser = Parser(prog="lipac bench", description="Measure against peers; parts already measured in DIR are kept.")
+    parser = Parser(prog="lipac bench", description="Measure against peers, and animated scenes; parts already measured in DIR are kept.")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--only", choices=PARTS, action="append", help="measure only this part, again; may be repeated")
+    what = "measure only this part, again; may be repeated. animation: what is not measured yet of animated scenes, instead of peers"
+    parser.add_argument("--only", choices=(*PARTS, "animation"), action="append", help=what)
     parser.add_argument("--repeats", type=int, default=3, help="runs of each command of the part 'city' (default: %(default)s)")
     parser.add_argument("--run", choices=PARTS, help="measure one part in this process and write DIR/PART.json (what the parts' processes are called with)")
     args = parser.parse_args(argv)
@@ -37,16 +40,26 @@ def main(argv: Sequence[str]) -> int:
         result = measure(args.run, folder, args.repeats)
         (folder / f"{args.run}.json").write_text(json.dumps(result | {"machine": machine()}, indent=1) + "\n")
         return 0
-    for name in args.only or [part for part in PARTS if not (folder / f"{part}.json").exists()]:
+    only = args.only or []
+    group = ANIMATION if "animation" in only else () if only else PEERS
+    again = [name for name in only if name != "animation"]
+    for name in again + [part for part in group if not (folder / f"{part}.json").exists()]:
         print(f"measuring {name}", file=sys.stderr, flush=True)
         command = [sys.executable, "-m", "lipac.scripts.lipac", "bench", "-o", str(folder), "--run", name, "--repeats", str(args.repeats)]
         if subprocess.run(command, stdout=sys.stderr, check=False).returncode:
             print(f"lipac bench: part '{name}' failed and is left out", file=sys.stderr)
     results = {name: json.loads((folder / f"{name}.json").read_text()) for name in PARTS if (folder / f"{name}.json").exists()}
-    text = report(results)
-    (folder / "benchmarks.json").write_text(json.dumps(results, indent=1) + "\n")
-    (folder / "benchmarks.md").write_text(text)
-    print(text)
+    peers = {name: results[name] for name in PEERS if name in results}
+    if peers:
+        text = report(peers)
+        (folder / "benchmarks.json").write_text(json.dumps(peers, indent=1) + "\n")
+        (folder / "benchmarks.md").write_text(text)
+        print(text)
+    animated = {name: results[name] for name in ANIMATION if name in results}
+    if animated:
+        from .animation_report import write
+
+        print(write(folder, animated))
     return 0
 
 
@@ -56,9 +69,9 @@ def measure(name: str, folder: Path, repeats: int) -> dict[str, Any]:
         return extraction()
     if name == "city":
         return city(folder, repeats)
-    from . import bench_tracing
+    from . import bench_animation, bench_tracing
 
-    part: dict[str, Any] = getattr(bench_tracing, name)(folder)
+    part: dict[str, Any] = getattr(bench_animation if name in ANIMATION else bench_tracing, name)(folder)
     return part
 
 
