@@ -11,7 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import embree
+from .regions import spatial_order
 from .scene import F32, I32, Mesh, Records
+
+RUN, RUNS = 8, 64  # triangles that were neighbours when a BLAS was built, and how many such runs are looked at
+TORN = 4.0  # growth of their boxes at which a BLAS is built anew instead of refitted: there rays take 1.4 times as long
+LOOKS = 8  # refits from one look to the next: looking takes as long as refitting a small mesh
 
 MESH = np.dtype(
     [
@@ -29,11 +34,17 @@ MESH = np.dtype(
 
 @dataclass(eq=False)
 class _Blas:
-    """A loaded mesh with its Embree scene; `mesh` keeps the arrays alive that Embree and the kernels read. geometry: 0 where it is never to be refitted."""
+    """A loaded mesh with its Embree scene; `mesh` keeps the arrays alive that Embree and the kernels read. geometry: 0 where it is never to be refitted.
+
+    runs: (R, RUN) triangles that were neighbours when it was built; spread: of them, then; refits: since then.
+    """
 
     mesh: Mesh
     scene: int
     geometry: int
+    runs: I32
+    spread: float
+    refits: int = 0
     bytes: int = 0
     seconds: float = 0.0
 
@@ -59,6 +70,24 @@ def loaded(source: Mesh, positions: F32 | None = None) -> Mesh:
         None if source.uvs is None else np.ascontiguousarray(source.uvs, np.float32),
         None if source.slots is None else np.ascontiguousarray(source.slots, np.uint16),
     )
+
+
+def _runs(mesh: Mesh) -> I32:
+    """Up to RUNS runs of RUN neighbouring triangles of a mesh: (R, RUN) int32."""
+    corners = mesh.positions[mesh.triangles]
+    order = spatial_order(np.stack((corners.min(axis=1), corners.max(axis=1)), axis=1))
+    runs = order[: len(order) // RUN * RUN].reshape(-1, RUN)
+    return runs[:: -(-len(runs) // RUNS) or 1]
+
+
+def _spread(mesh: Mesh, runs: I32) -> float:
+    """How far runs of triangles spread: the surface of their boxes, relative to that of the box around all of them."""
+    if not len(runs):
+        return 0.0
+    corners = mesh.positions[mesh.triangles[runs].reshape(len(runs), -1)]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    extents, whole = (high - low).astype(np.float64), (high.max(axis=0) - low.min(axis=0)).astype(np.float64)
+    return float((extents * extents[:, (1, 2, 0)]).sum() / max((whole * whole[[1, 2, 0]]).sum(), 1e-300))
 
 
 def _address(array: np.ndarray | None) -> int:
@@ -211,18 +240,22 @@ class BlasCache:
             scene = device.new_scene(embree.SCENE_ROBUST | embree.SCENE_COMPACT)
         lib.rtcAttachGeometry(scene, geometry)
         lib.rtcReleaseGeometry(geometry)  # the scene holds it
-        blas = _Blas(mesh, scene, geometry if refits else 0)
+        runs = _runs(mesh) if refits else np.zeros((0, RUN), np.int32)
+        blas = _Blas(mesh, scene, geometry if refits else 0, runs, _spread(mesh, runs))
         device.own(scene, blas)
         blas.bytes = device.commit(scene, f"build the BLAS of mesh {index} with {len(mesh.triangles):,} triangles")
         blas.seconds = time.perf_counter() - start
         return blas
 
     def _refit(self, index: int) -> float:
-        """Bring a built BLAS to the mesh's present vertices; build it anew where it is not made for refitting, or has other triangles. Returns seconds."""
+        """Bring a built BLAS to the mesh's present vertices; build it anew where it is not made for refitting, has other triangles, or is torn: its tree has
+        little to do with the mesh any more. Returns seconds."""
         start = time.perf_counter()
         blas, source = self._built[index], self._meshes[index]
         same = source.positions.shape == blas.mesh.positions.shape and np.array_equal(source.triangles, blas.mesh.triangles)
-        if not (same and blas.geometry):
+        blas.refits += 1
+        torn = same and blas.refits % LOOKS == 0 and _spread(source, blas.runs) > TORN * blas.spread > 0
+        if torn or not (same and blas.geometry):
             self._free(index)
             self._install(index, self._build(index, loaded(source)))
         else:

@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from lipac.core import scene as s
-from lipac.core.blas import BlasCache
+from lipac.core.blas import LOOKS, BlasCache
 from lipac.core.embree import Device
 from lipac.core.tlas import Tlas
 
@@ -50,6 +50,26 @@ def test_refit_equals_rebuild_hit_for_hit() -> None:
         for a, b in zip(refitted, rebuilt, strict=True):
             np.testing.assert_array_equal(a, b)
     assert (cache.work.built, cache.work.refitted) == (2, 2)  # the first time it is built once more, in the form that can be refitted
+
+
+def test_what_is_torn_is_built_anew() -> None:
+    """Triangles that fly apart: refits cannot keep their tree, so after a while it is another one. What only sways, grows or turns is refitted on."""
+    mesh = wave(0)
+    loose = mesh.positions[mesh.triangles].reshape(-1, 3)
+    triangles = np.arange(len(loose), dtype=np.uint32).reshape(-1, 3)
+    away = np.repeat(np.random.default_rng(5).normal(size=(len(triangles), 3)), 3, axis=0)
+    for shape, torn in ((lambda k: loose * (1 + 0.1 * k), 0), (lambda k: loose + 0.1 * k * away, 1)):
+        cache = BlasCache([s.Mesh(loose, triangles)])
+        cache.need(np.array([0]))
+        for k in range(1, LOOKS + 3):
+            now = s.Mesh(shape(k).astype(np.float32), triangles)
+            cache.advance([now], np.array([0], np.int32), NONE)
+            cache.need(np.array([0]))
+        assert (cache.work.built, cache.work.refitted) == (2 + torn, LOOKS + 1 - torn)
+        fresh = BlasCache([now])
+        fresh.need(np.array([0]))
+        for a, b in zip(*(shoot(Tlas(one(now), c, np.ones(1, bool)), *rays()) for c in (cache, fresh)), strict=True):
+            np.testing.assert_array_equal(a, b)
 
 
 def test_other_triangles_are_built_anew() -> None:
