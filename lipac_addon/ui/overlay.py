@@ -183,31 +183,29 @@ def draw_legend(result: FrameResult, kinds: tuple[str, ...], scale: float = 1.0,
     """Draw the legend into the lower left corner of the active framebuffer, in pixels."""
     x, y, side = _MARGIN * scale, _MARGIN * scale, _SWATCH * scale
     lines = [(kind, text) for kind, text in legend_of(result, kinds) if not heat_map or kind == "regions"]
-    gpu.state.blend_set("ALPHA")
-    for kind, text in reversed(lines):
-        _bar(x, y, side, side, [COLORS[kind]] * 2)
-        _text(text, x + 1.5 * side, y + 0.1 * side, scale)
-        y += _LINE * scale
+    rows = [(side, [COLORS[kind]] * 2, text) for kind, text in reversed(lines)]
     if heat_map:
-        _bar(x, y, _RAMP * scale, side, HEAT)
-        _text(f"light paths that meet an instance: 0 to {upload(result).boxes.hottest:,}", x + _RAMP * scale + 0.5 * side, y + 0.1 * side, scale)
+        rows.append((_RAMP * scale, HEAT, f"light paths that meet an instance: 0 to {upload(result).boxes.hottest:,}"))
+    blf.size(0, _TEXT * scale)
+    wide = max((width + side + blf.dimensions(0, text)[0] for width, _, text in rows), default=0.0)
+    gpu.state.blend_set("ALPHA")
+    _bar(x - side / 2, y - side / 2, wide + side, len(rows) * _LINE * scale, [(0.0, 0.0, 0.0)] * 2, 0.6)
+    for k, (width, colors, text) in enumerate(rows):
+        at = y + k * _LINE * scale
+        _bar(x, at, width, side, colors)
+        blf.color(0, 0.9, 0.9, 0.9, 1.0)
+        blf.position(0, x + width + side / 2, at + 0.1 * side, 0)
+        blf.draw(0, text)
     gpu.state.blend_set("NONE")
 
 
-def _bar(x: float, y: float, width: float, height: float, colors: Any) -> None:
+def _bar(x: float, y: float, width: float, height: float, colors: Any, opacity: float = 1.0) -> None:
     """A rectangle in colours from left to right."""
     at = np.repeat(np.linspace(x, x + width, len(colors)), 2)
     corners = np.column_stack([at, np.tile([y, y + height], len(colors))]).astype(np.float32)
-    shades = np.repeat(np.column_stack([colors, np.ones(len(colors))]), 2, axis=0).astype(np.float32)
+    shades = np.repeat(np.column_stack([colors, np.full(len(colors), opacity)]), 2, axis=0).astype(np.float32)
     shader = gpu.shader.from_builtin("SMOOTH_COLOR")
     batch_for_shader(shader, "TRI_STRIP", {"pos": corners, "color": shades}).draw(shader)
-
-
-def _text(text: str, x: float, y: float, scale: float) -> None:
-    blf.size(0, _TEXT * scale)
-    blf.color(0, 0.9, 0.9, 0.9, 1.0)
-    blf.position(0, x, y, 0)
-    blf.draw(0, text)
 
 
 def _draw_view() -> None:

@@ -9,7 +9,7 @@ import pytest
 from mathutils import Matrix
 
 from lipac.lipac_addon.ui import overlay, results
-from lipac.lipac_addon.ui.boxes import COLORS, KINDS, ROW, boxes_of
+from lipac.lipac_addon.ui.boxes import COLORS, HEAT, KINDS, ROW, boxes_of
 
 SIZE = 128
 
@@ -142,6 +142,20 @@ def test_behind_geometry(canvas, in_front):
     assert (counts(canvas(draw))["active"] > 0) == in_front
 
 
+def test_heat_map(canvas):
+    """Four boxes side by side, met by no path, some, most, and a region, which has its own colour."""
+    hits = np.zeros((3, 5), np.int64)
+    hits[1, 0], hits[2, :2] = 99, (5000, 4999)
+    result = result_of([unit_box(0.5 + 2 * k, 1) for k in range(3)], [unit_box(1, 5, size=2.0)], [C, A, A], hits=hits)
+    picture = canvas(lambda: overlay.draw_boxes(result, KINDS, 1.0, ABOVE, heat_map=True))
+    ramp = HEAT[3] + (HEAT[4] - HEAT[3]) * 0.5  # log 100 is half of log 10,000
+    for k, color in enumerate((HEAT[0], ramp, HEAT[-1])):
+        part = picture[:48, 32 * k : 32 * (k + 1), :3]
+        assert abs((np.abs(part - np.round(255 * color)).max(axis=2) <= 2).sum() - 64) <= 8, k
+    assert abs(counts(picture)["regions"] - 128) <= 8
+    assert boxes_of(result).hottest == 9999
+
+
 def test_far_from_the_origin(canvas):
     there = (1e6, -2e6, 0.0)
     matrix = np.array(ABOVE, np.float64) @ np.array([[1, 0, 0, -there[0]], [0, 1, 0, -there[1]], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
@@ -173,3 +187,21 @@ def test_legend_is_in_the_colours_of_the_boxes(canvas):
     found = counts(canvas(draw))
     assert found["active"] == found["culled"] == 144  # swatches of 12 x 12
     assert found["regions"] == 0
+
+
+def test_legend_of_the_heat_map(canvas):
+    result = result_of(*FOUR)
+
+    def draw():
+        overlay.upload(result)
+        with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+            gpu.matrix.load_matrix(Matrix.Identity(4))
+            gpu.matrix.load_projection_matrix(Matrix(((2 / SIZE, 0, 0, -1), (0, 2 / SIZE, 0, -1), (0, 0, -1, 0), (0, 0, 0, 1))))
+            overlay.draw_legend(result, KINDS, heat_map=True)
+
+    picture = canvas(draw)
+    assert [counts(picture)[kind] for kind in ("active", "culled", "regions")] == [0, 0, 144]
+    bar = picture[46, 20:140, :3].astype(float)  # the line above the regions' swatch
+    luminance = bar @ (0.2126, 0.7152, 0.0722)
+    assert (np.diff(luminance) >= -1).all()
+    assert luminance[-1] - luminance[0] > 90
