@@ -23,6 +23,7 @@ animation: install
 	$(BIN)/lipac bench -o out/bench --only animation
 	cp -r out/bench/animation.md out/bench/animation docs
 extension: install
+	$(BIN)/python -m pip install --disable-pip-version-check -q -e '.[extension]'
 	$(BIN)/python -m lipac.scripts.make_extension
 # Tests run even where lint or types complain, so that one look shows everything; any of the three fails the target.
 test: $(VENV)/.installed-test

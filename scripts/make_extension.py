@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
 import subprocess
 import sys
@@ -22,6 +23,8 @@ PLATFORMS = {
     "windows-x64": ("win_amd64",),
     "macos-arm64": ("macosx_13_0_arm64", "macosx_12_0_arm64", "macosx_11_0_arm64"),
 }
+PAGES = ("user-guide", "write-back", "live")  # of docs/: the manual of the panel's controls
+STYLE = "body{max-width:60em;margin:2em auto;font:16px/1.5 sans-serif}img{max-width:100%}td,th{padding:.2em .6em;text-align:left;border:1px solid #ccc}"
 PACKAGES = ("core", "lipac_addon", "scripts")
 SUFFIXES = {".py", ".npz", ".c", ".sh"}
 
@@ -71,6 +74,7 @@ def build(platform: str, wheels: Sequence[Path], output: Path) -> Path:
         for path in sources():
             (stage / path).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / path, stage / path)
+        write_docs(stage / "docs")
         (stage / "wheels").mkdir()
         for wheel in wheels:
             shutil.copyfile(wheel, stage / "wheels" / wheel.name)
@@ -80,6 +84,19 @@ def build(platform: str, wheels: Sequence[Path], output: Path) -> Path:
         blender("build", "--source-dir", str(stage), "--output-filepath", str(path.resolve()))
     blender("validate", str(path.resolve()))
     return path
+
+
+def write_docs(folder: Path) -> None:
+    """The pages for the panel's controls as HTML, with the pictures that they show."""
+    from markdown import markdown
+
+    (folder / "pictures").mkdir(parents=True)
+    for name in PAGES:
+        body = markdown((ROOT / "docs" / f"{name}.md").read_text(), extensions=["tables", "toc"])
+        body = re.sub(r'href="([\w-]+)\.md', r'href="\1.html', body)
+        (folder / f"{name}.html").write_text(f"<!doctype html><meta charset=utf-8><title>LiPaC</title><style>{STYLE}</style>\n{body}\n")
+        for picture in re.findall(r'src="pictures/([^"]+)"', body):
+            shutil.copyfile(ROOT / "docs" / "pictures" / picture, folder / "pictures" / picture)
 
 
 def version() -> str:
@@ -114,7 +131,8 @@ def check(path: Path, platform: str, pythons: Iterable[str]) -> None:
             if len(fitting) != 1:
                 problems.append(f"{len(fitting)} wheels of {library} for Python {python} on {platform}")
     problems += [f"{path} is missing" for path in map(str, sources()) if path not in names]
-    problems += [f"{name} does not belong here" for name in names if "__pycache__" in name or name.startswith(("tests/", "docs/", "."))]
+    problems += [f"docs/{name}.html is missing" for name in PAGES if f"docs/{name}.html" not in names]
+    problems += [f"{name} does not belong here" for name in names if "__pycache__" in name or name.startswith(("tests/", "docs/results", "."))]
     if stated["platforms"] != [platform]:
         problems.append(f"platforms are {stated['platforms']}")
     if problems:

@@ -17,28 +17,35 @@ OURS = ("numba", "llvmlite", "embreex", "lipac", "__editable__")
 PYTHON = f"{sys.version_info[0]}{sys.version_info[1]}"
 
 USE = """
-import importlib.util, os, sys, bpy
+import importlib, importlib.util, os, sys, bpy
 resources, path = sys.argv[1:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 print(bpy.ops.extensions.package_install_files(filepath=path, repo="user_default", enable_on_install=False))
 print(bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lipac"))
 assert "numba" not in sys.modules, "loaded at registration"
+demo = importlib.import_module("bl_ext.user_default.lipac.lipac_addon.demo.mirror_city")
+demo.build(1000, 0)
 scene = bpy.context.scene
-bpy.ops.mesh.primitive_cube_add()
-near = bpy.context.object
-bpy.ops.mesh.primitive_cube_add(location=(0, 500, 0))
-far = bpy.context.object
-bpy.ops.object.camera_add(location=(0, -10, 0), rotation=(1.57, 0, 0))
-scene.camera = bpy.context.object
-scene.lipac.policy, scene.lipac.distance = "distance", 50.0
+scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples, scene.lipac.width = 64, 36, 1, 64
+scene.render.filepath = os.path.join(resources, "picture.png")
+def state():
+    return {ob.name: (ob.hide_render, [m.name for m in ob.modifiers]) for ob in bpy.data.objects}
+before = state()
 assert bpy.ops.lipac.analyze() == {"FINISHED"}
 for name in ("numba", "embreex"):
     origin = importlib.util.find_spec(name).origin
     assert origin.startswith(resources), origin
 assert bpy.ops.lipac.apply() == {"FINISHED"}
-assert (near.hide_render, far.hide_render) == (False, True)
+assert state()["City"] == (False, before["City"][1] + ["LiPaC mask"]), state()["City"]
+bpy.ops.render.render(write_still=True)
+assert os.path.getsize(scene.render.filepath) > 500
 assert bpy.ops.lipac.restore() == {"FINISHED"}
-assert (near.hide_render, far.hide_render) == (False, False)
+assert state() == before
+panel = importlib.import_module("bl_ext.user_default.lipac.lipac_addon.ui.panel")
+page, places = panel.manual()
+html = open(page.removeprefix("file://")).read()
+assert page.endswith("user-guide.html")
+assert all(f'id="{place[1:]}"' in html for _, place in places)
 kernels = [name for _, _, names in os.walk(resources) for name in names if name.endswith(".nbi")]
 assert kernels, "no compiled kernel in the extension's user folder"
 print(bpy.ops.preferences.addon_disable(module="bl_ext.user_default.lipac"))
@@ -81,7 +88,7 @@ def test_a_fresh_blender_installs_and_uses_the_zip(extension: Path, tmp_path: Pa
     assert "USED" in done.stdout, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("lost", ["numba-", "core/loop.py"])
+@pytest.mark.parametrize("lost", ["numba-", "core/loop.py", "docs/user-guide.html"])
 def test_a_zip_that_lacks_something_is_refused(extension: Path, tmp_path: Path, lost: str) -> None:
     broken = tmp_path / extension.name
     with zipfile.ZipFile(extension) as source, zipfile.ZipFile(broken, "w") as target:

@@ -1,7 +1,8 @@
 """Restore is exact: random sequences of a user's edits, with our operators in between, end as the same edits without them.
 
-Each sequence is worked through twice on the same scene: once with everything, ending with Restore, where each edit notes what it did; then the notes alone. Every
-property, modifier, data-block, keyframe and node link must be the same. One thing nobody can tell is left out: that a user hides again what was hidden already.
+Each sequence is worked through twice on the same scene: once with everything, ending with Restore, where each edit notes what it did; then the notes alone.
+Every property, modifier, data-block, keyframe and node link must be the same. One thing nobody can tell is left out: that a user hides again what was hidden
+already.
 """
 
 import tempfile
