@@ -158,9 +158,10 @@ def _runs_table(part: Part) -> str:
     head = ("loop", "active", "hitboxes", "changes", "undone", "error", "flicker, tiles", "flicker, pixels")
     rows: list[Row] = [head]
     for name, run in part["runs"].items():
-        counts = (f"{statistics.mean(run['active']):.0f}", f"{statistics.mean(run['hitboxes']):,.0f}")
+        mean = {key: statistics.mean(run[key][part["started"] :]) for key in ("active", "hitboxes", "error")}
+        counts = (f"{mean['active']:.0f}", f"{mean['hitboxes']:,.0f}")
         states = (f"{run['states']['changes']:.2f}", f"{run['states']['undone']:.2f}")
-        rows.append((name, *counts, *states, *(_percent(x) for x in (statistics.mean(run["error"]), run["flicker_tiles"], run["flicker"]))))
+        rows.append((name, *counts, *states, *(_percent(x) for x in (mean["error"], run["flicker_tiles"], run["flicker"]))))
     return markdown(rows)
 
 
@@ -209,10 +210,11 @@ def _fly(part: Part, folder: Path) -> str:
     return "\n\n".join(
         [
             "## Flythrough, in real time",
-            f"`flythrough`, {part['frames'][1]} frames at {part['size'][0]} x {part['size'][1]}: one round per frame, four paths per pixel; what one "
-            "path in 10,000 meets is kept. "
+            f"`flythrough`, frames {part['frames'][0]} to {part['frames'][1]} at {part['size'][0]} x {part['size'][1]}: one round per frame, four paths per "
+            "pixel; what one path in 10,000 meets is kept. "
             "The whole scene is traced beside it and says when an instance appears: one path in 10,000 meets it, none did in the ten frames before. "
-            "Large: its box is a twentieth of the picture's width or more. In reflections alone: its box is outside the picture.",
+            "Large: its box is a twentieth of the picture's width or more. In reflections alone: its box is outside the picture. "
+            f"The first {part['started']} frames, in which the loop starts from nothing, do not count.",
             markdown(rows),
             f"![Frames from appearance to activation]({PICTURES}/latency.png)",
             "What the drive brings into view is active before: bounced light has asked for it. The cut and the cut back, in which all of a "

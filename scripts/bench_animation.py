@@ -30,6 +30,7 @@ Mask = NDArray[np.bool_]
 FIGURES, CHARACTER = 2_000, "CesiumMan.glb"
 CROWD_SIZE, CROWD_FRAMES, JUDGED, JUDGE_SAMPLES = (240, 135), range(1, 13), (4, 8, 12), 64
 FLY_SIZE, FLY_SAMPLES = (160, 90), 8
+STARTED, CORNER = 20, 73  # frames that a loop in real time takes for its cold start, or is given; frame in which the camera turns the corner
 SHARE = 1e-4  # of the paths that must meet an instance, in the loops that run in real time
 BEFORE, AFTER = 10, 4  # frames for which something that appears was not there, and is looked at from then on
 SIZES = (10_000, 30_000, 100_000, 300_000, 1_000_000)
@@ -175,9 +176,13 @@ def state_changes(states: NDArray[np.bool_]) -> dict[str, float]:
 
 
 def flythrough(_folder: Path) -> dict[str, Any]:
-    """Loops that run in real time, one round per frame and by counts: with all there is, without mitigation, without hysteresis."""
+    """Loops that run in real time, one round per frame and by counts: with all there is, without mitigation, without hysteresis.
+
+    They start STARTED frames before the corner.
+    """
     base = CullOptions(min_share=SHARE, max_iterations=1, width=FLY_SIZE[0])
-    return _fly({"as it is": base, "no mitigation": replace(base, mitigation=False), "no hysteresis": replace(base, hysteresis=1.0)})
+    runs = {"as it is": base, "no mitigation": replace(base, mitigation=False), "no hysteresis": replace(base, hysteresis=1.0)}
+    return _fly(runs, first=CORNER - STARTED, started=STARTED)
 
 
 def shot(_folder: Path) -> dict[str, Any]:
@@ -186,11 +191,14 @@ def shot(_folder: Path) -> dict[str, Any]:
     From the corner on.
     """
     runs = {"warm": CullOptions(), "warm, no hysteresis": CullOptions(hysteresis=1.0), "frames by themselves": CullOptions()}
-    return _fly(runs, {"frames by themselves"}, first=73)
+    return _fly(runs, {"frames by themselves"}, first=CORNER)
 
 
-def _fly(options: dict[str, CullOptions], independent: set[str] | frozenset[str] = frozenset(), first: int = 1) -> dict[str, Any]:
-    """Run loops side by side through the flythrough, beside the whole scene, which says what is in sight, and how each picture should be."""
+def _fly(options: dict[str, CullOptions], independent: set[str] | frozenset[str] = frozenset(), first: int = 1, started: int = 0) -> dict[str, Any]:
+    """Run loops side by side through the flythrough from frame first on, beside the whole scene, which says what is in sight, and how each picture should be.
+
+    started: frames that do not count.
+    """
     from ..lipac_addon.demo import flythrough as scene_of
     from ..lipac_addon.demo.mirror_city import DEFAULT_INSTANCES
 
@@ -221,7 +229,8 @@ def _fly(options: dict[str, CullOptions], independent: set[str] | frozenset[str]
     paths = FLY_SIZE[0] * FLY_SIZE[1] * FLY_SAMPLES
     found = _sorted(np.stack(direct), np.stack(reflected), np.stack(large), max(int(SHARE * paths), 1))
     out: dict[str, Any] = {"size": FLY_SIZE, "frames": [first, scene_of.FRAMES], "cuts": [scene_of.CUT + 1, scene_of.BACK + 1]}
-    return out | {"own_change": _own_change(pictures), "runs": {name: _figures(run, pictures, found) for name, run in runs.items()}}
+    out |= {"started": started, "own_change": _own_change(pictures)}
+    return out | {"runs": {name: _figures(run, pictures, found, started) for name, run in runs.items()}}
 
 
 def _mask(regions: Regions, view: View, share: float) -> Mask:
@@ -245,8 +254,9 @@ def _own_change(pictures: list[F32]) -> float:
     return float(np.mean([np.abs(b - a).mean() for a, b in itertools.pairwise(pictures)]) / np.mean([p.mean() for p in pictures]))
 
 
-def _figures(run: Run, whole: list[F32], found: dict[str, list[Appearance]]) -> dict[str, Any]:
+def _figures(run: Run, whole: list[F32], found: dict[str, list[Appearance]], started: int) -> dict[str, Any]:
     states = np.stack(run.states)
+    ours, right = run.pictures[started:], whole[started:]
 
     def tiled(pictures: list[F32]) -> list[NDArray[np.float64]]:
         return [tile_means(p).reshape(1, -1, 1).repeat(3, axis=2) for p in pictures]
@@ -254,10 +264,10 @@ def _figures(run: Run, whole: list[F32], found: dict[str, list[Appearance]]) -> 
     light = np.mean([tile_means(p).mean() for p in whole])
     error = [float(np.abs(tile_means(b) - tile_means(a)).mean() / light) for a, b in zip(whole, run.pictures, strict=True)]
     return {
-        "latency": {name: latencies(those, states) for name, those in found.items()},
-        "states": state_changes(states),
-        "flicker": flicker(whole, run.pictures),
-        "flicker_tiles": flicker(tiled(whole), tiled(run.pictures)),
+        "latency": {name: latencies([a for a in those if a.frame >= started], states) for name, those in found.items()},
+        "states": state_changes(states[started:]),
+        "flicker": flicker(right, ours),
+        "flicker_tiles": flicker(tiled(right), tiled(ours)),
         "error": error,
         "active": [int(s.sum()) for s in run.states],
         "hitboxes": [int(r.stats["hitboxes"]) for r in run.rows],
