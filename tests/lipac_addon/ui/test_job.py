@@ -165,3 +165,66 @@ def test_two_scenes_have_results_of_their_own(analyzed):
     assert len(results.at(other).culled) == 1
     assert len(results.at(analyzed).culled) == 10
     np.testing.assert_array_equal(results.at(analyzed).culled.sum(), 4)
+
+
+@pytest.mark.parametrize("when", ["before the scene is read", "while paths are traced"])
+def test_names_that_change_while_it_runs(scene, hidden, when):
+    """The box that is renamed takes its state along; one of another mesh takes its name; one goes."""
+    scene.lipac.policy, scene.lipac.width = "light-paths", 64
+    running = job.start(lambda: AnalysisJob(scene))
+    while running.step() and ("reading" if when.startswith("before") else "light paths") not in running.message:
+        pass
+    assert not running.done
+    bpy.data.objects["box4"].name = "renamed"
+    bpy.data.objects["box0"].name = "box4"
+    bpy.data.objects.remove(bpy.data.objects["box6"])
+    running.run()
+    assert running.error == ""
+    bpy.ops.lipac.apply()
+    assert hidden() == {"renamed", "box5", "box7"}
+    assert results.at(scene).reason(bpy.data.objects["box4"]).kept == 1
+
+
+def test_undo_while_it_runs(scene, hidden):
+    """All references die; what was read goes on to be traced, and a later frame is read from the new ones."""
+    scene.lipac.frames, scene.frame_start, scene.frame_end = "RANGE", 1, 3
+    bpy.ops.ed.undo_push(message="start")
+    bpy.data.objects["box0"].location.y = 500.0
+    bpy.ops.ed.undo_push(message="moved")
+    running = job.start(lambda: AnalysisJob(scene))
+    while running.step() and not running.message.startswith("frame 2"):
+        pass
+    bpy.ops.ed.undo()
+    running.run()
+    assert running.error == ""
+    scene = bpy.context.scene
+    near = bpy.data.objects["box0"]
+    assert [results.of(scene)[f].reason(near).kept for f in (1, 3)] == [0, 1]
+
+
+def test_local_view_hides_nothing_from_it(scene):
+    """What is isolated in a viewport is no matter of renders."""
+    area = next(a for a in bpy.context.screen.areas if a.type == "VIEW_3D")
+    for ob in scene.objects:
+        ob.select_set(ob.name == "box1")
+    with bpy.context.temp_override(area=area, region=next(r for r in area.regions if r.type == "WINDOW")):
+        bpy.ops.view3d.localview()
+    assert area.spaces.active.local_view is not None
+    AnalysisJob(scene).run()
+    assert len(results.at(scene).culled) == 10
+
+
+def test_a_second_view_layer_has_what_the_first_hides(scene):
+    """The first that is rendered is analysed, whichever the window shows; live mode follows the window."""
+    first, second = scene.view_layers[0], scene.view_layers.new("second")
+    only = bpy.data.collections.new("only")
+    scene.collection.children.link(only)
+    only.objects.link(bpy.data.objects["box1"])
+    scene.collection.objects.unlink(bpy.data.objects["box1"])
+    first.layer_collection.children["only"].exclude = True
+    bpy.context.window.view_layer = second
+    AnalysisJob(scene).run()
+    assert len(results.at(scene).culled) == 9
+    first.use = False
+    AnalysisJob(scene).run()
+    assert len(results.at(scene).culled) == 10

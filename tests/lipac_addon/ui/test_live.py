@@ -171,6 +171,18 @@ def test_another_file_and_another_scene(watched, boxes_file):
     settle()
 
 
+def test_it_follows_the_view_layer_of_the_window(watched):
+    settle()
+    second = watched.view_layers.new("second")
+    second.objects.active = None
+    bpy.data.objects["box1"].hide_set(True, view_layer=second)
+    assert len(results.live[live.current.uid].state) == 10
+    bpy.context.window.view_layer = second
+    settle()
+    assert live.current.layer == "second"
+    assert len(results.live[live.current.uid].state) == 9
+
+
 def test_no_camera_and_nothing_to_render_are_waited_out(watched):
     settle()
     camera = watched.camera
