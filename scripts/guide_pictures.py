@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for label, text in panel.rows_of(result):
         print(f"{label}: {text}")
     imsave(args.output / "overlay.png", overlay_picture(result, *args.size)[::-1])
-    imsave(args.output / "heat.png", overlay_picture(result, *args.size, kinds=("active", "culled"), heat_map=True)[::-1])
+    imsave(args.output / "heat.png", overlay_picture(result, *args.size, ("active", "culled"), True)[::-1])
     scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples = RENDER
     bpy.ops.lipac.difference()
     for label, text in panel.rows_of_difference(results.differences[scene.session_uid, scene.frame_current]):

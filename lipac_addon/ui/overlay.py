@@ -183,7 +183,7 @@ def draw_legend(result: FrameResult, kinds: tuple[str, ...], scale: float = 1.0,
     """Draw the legend into the lower left corner of the active framebuffer, in pixels."""
     x, y, side = _MARGIN * scale, _MARGIN * scale, _SWATCH * scale
     lines = [(kind, text) for kind, text in legend_of(result, kinds) if not heat_map or kind == "regions"]
-    rows = [(side, [COLORS[kind]] * 2, text) for kind, text in reversed(lines)]
+    rows: list[tuple[float, Any, str]] = [(side, [COLORS[kind]] * 2, text) for kind, text in reversed(lines)]
     if heat_map:
         rows.append((_RAMP * scale, HEAT, f"light paths that meet an instance: 0 to {upload(result).boxes.hottest:,}"))
     blf.size(0, _TEXT * scale)

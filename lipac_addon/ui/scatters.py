@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Iterable
 
 import bpy
@@ -20,7 +21,8 @@ def prints_of(scene: bpy.types.Scene, uids: Iterable[int]) -> dict[int, bytes]:
         graph = layer.depsgraph
         if graph is None or not wanted or graph.scene_eval.frame_current != scene.frame_current:
             continue
-        layer.update()
+        if threading.current_thread() is threading.main_thread():  # not in a render, which runs beside it
+            layer.update()
         for ob in [ob for ob in layer.objects if ob.session_uid in wanted]:
             evaluated = ob.evaluated_get(graph)
             if evaluated.is_evaluated and ob.visible_get(view_layer=layer):

@@ -24,7 +24,8 @@ print(bpy.ops.extensions.package_install_files(filepath=path, repo="user_default
 print(bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lipac"))
 assert "numba" not in sys.modules, "loaded at registration"
 demo = importlib.import_module("bl_ext.user_default.lipac.lipac_addon.demo.mirror_city")
-demo.build(1000, 0)
+demo.build(1000, 0)  # begins with factory settings, without add-ons
+print(bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lipac"))
 scene = bpy.context.scene
 scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples, scene.lipac.width = 64, 36, 1, 64
 scene.render.filepath = os.path.join(resources, "picture.png")
