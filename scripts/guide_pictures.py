@@ -49,8 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     for label, text in panel.rows_of(result):
         print(f"{label}: {text}")
-    imsave(args.output / "overlay.png", overlay_picture(result, *args.size)[::-1])
-    imsave(args.output / "heat.png", overlay_picture(result, *args.size, ("active", "culled"), True)[::-1])
+    width, height = args.size
+    imsave(args.output / "overlay.png", overlay_picture(result, width, height)[::-1])
+    imsave(args.output / "heat.png", overlay_picture(result, width, height, ("active", "culled"), heat_map=True)[::-1])
     scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples = RENDER
     bpy.ops.lipac.difference()
     for label, text in panel.rows_of_difference(results.differences[scene.session_uid, scene.frame_current]):

@@ -22,6 +22,7 @@ from . import applying, job, results
 
 IMAGE = "LiPaC Difference"
 _CHILD = Path(__file__).with_name("child_render.py")
+_NO_WINDOW = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # Windows would open one
 _FULL, _CULLED = "full", "culled"
 
 
@@ -103,7 +104,7 @@ class DifferenceJob:
         program = [sys.executable] if bpy.app.module else [bpy.app.binary_path, "-b", "--python-exit-code", "1", "-P"]
         arguments = [str(folder / f"{what}.blend"), scene, str(self._result.frame), str(folder / f"{what}.exr")]
         with (folder / f"{what}.log").open("w+") as log:
-            child = subprocess.Popen([*program, str(_CHILD), "--", *arguments], stdout=log, stderr=subprocess.STDOUT)
+            child = subprocess.Popen([*program, str(_CHILD), "--", *arguments], stdout=log, stderr=subprocess.STDOUT, creationflags=_NO_WINDOW)
             try:
                 while child.poll() is None:
                     if self.cancelled:
