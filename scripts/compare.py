@@ -64,8 +64,8 @@ def flip_picture(folder: Path) -> Any:
     return colormaps["magma"](difference, bytes=True)[..., :3]
 
 
-def tlas_of(scene: Path, states: Path, frame: int) -> Any:
-    """The picture of the TLAS for the states that a command saved: (H, W, 3) uint8."""
+def tlas_of(scene: Path, states: Path, frame: int, size: tuple[int, int] = (960, 540)) -> Any:
+    """The picture of the TLAS for the states that a command saved: (H, W, 3) uint8; size: W and H."""
     import bpy
     import numpy as np
 
@@ -78,7 +78,7 @@ def tlas_of(scene: Path, states: Path, frame: int) -> Any:
     frozen = extract_frame(bpy.context.scene, frame).scene
     with np.load(states) as data:
         active, boxes = data["state"] == State.ACTIVE, (data["boxes"] - frozen.origin).astype(np.float32)
-    return tlas_picture(frozen, active, boxes)
+    return tlas_picture(frozen, active, boxes, size)
 
 
 def table(full: dict[str, Any], culled: dict[str, Any], error: dict[str, dict[str, float]]) -> str:
