@@ -94,6 +94,7 @@ class AnalysisJob:
 
     def _finish(self, frame: int) -> None:
         """Keep the results, go back to the frame that was current, and cull renders again where they were culled before."""
+        self._extractor = self._shot = None  # their memory
         scene = find_scene(self._uid)
         if scene is None:
             return

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from lipac.lipac_addon.ui import job, panel, results, wheels
+from lipac.lipac_addon.ui import applying, job, live, panel, results, wheels
+from lipac.lipac_addon.ui.difference import Difference
 
 
 @pytest.fixture
@@ -83,6 +84,37 @@ def test_figures(analyzed):
     assert rows["Change, predicted"] == "0.20 %, worst 1.00 %"
     assert rows["Change, measured"] == "0.40 %, worst 2.00 %"
     assert [panel.size(n) for n in (0, 1023, 1024, 5 << 30)] == ["0 B", "1023 B", "1.0 KiB", "5.0 GiB"]
+
+
+def test_why(scene, drawn):
+    """Of the active object: kept by light paths, culled without, pinned."""
+    scene.lipac.policy, scene.lipac.width = "light-paths", 64
+    bpy.data.objects["box6"].lipac.role = "PIN"
+    bpy.ops.lipac.analyze()
+    said = {"box0": ("light paths meet it", "Camera paths", "Worth at most"), "box5": ("no light path", "culled"), "box6": ("pinned", "kept")}
+    for name, texts in said.items():
+        bpy.context.view_layer.objects.active = bpy.data.objects[name]
+        shown = drawn(panel.LIPAC_PT_object)
+        assert all(text in shown for text in texts), (name, shown)
+
+
+def test_live_and_what_stays_although_it_is_culled(analyzed, drawn, monkeypatch):
+    monkeypatch.setattr(applying, "notes", ("3 culled instances stay in renders: they are shy",))
+    assert "shy" not in drawn(panel.LIPAC_PT_main)
+    analyzed.lipac.use_for_renders = True
+    assert "shy" in drawn(panel.LIPAC_PT_main)
+    live.start()
+    while live.current is None or not live.current.resting:
+        live.tick()
+    assert "at rest" in drawn(panel.LIPAC_PT_main)
+    assert "Live, frame 1" in drawn(panel.LIPAC_PT_results)
+    live.stop()
+
+
+def test_difference(analyzed, drawn):
+    results.differences[analyzed.session_uid, 1] = Difference((9.0, 2.5), (3 << 30, 1 << 30), 0.002, 0.03)
+    text = drawn(panel.LIPAC_PT_results)
+    assert all(part in text for part in ("6.5 of 9.0 s", "2.0 GiB of 3.0", "0.20 %"))
 
 
 def test_a_second_view_layer_is_a_warning(scene):

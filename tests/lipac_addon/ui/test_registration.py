@@ -1,15 +1,20 @@
 """Registration leaves nothing behind, loads no heavy library, and every control explains itself."""
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
+from fnmatch import fnmatch
+from pathlib import Path
 
 import bpy
 import pytest
 
 import lipac
-from lipac.lipac_addon.ui import operators, overlay, panel, props
+from lipac.lipac_addon.ui import operators, overlay, panel, preferences, props
 
+GROUPS = (props.LipacSettings, props.LipacRole, preferences.LipacPreferences)
+OPERATORS = (*operators._CLASSES, preferences.LIPAC_OT_clear_cache)
 OWNERS = (bpy.types.Scene, bpy.types.Object, bpy.types.Collection)
 
 
@@ -35,9 +40,29 @@ def test_libraries_are_not_loaded_by_registering():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("group", [props.LipacSettings, props.LipacRole])
+def own_properties(group):
+    return [p for p in group.bl_rna.properties if p.identifier not in {"rna_type", "name", "bl_idname"}]
+
+
+def test_every_control_has_a_place_in_the_guide(ui):
+    """Blender's Online Manual looks for the first pattern that matches the control's name in lower case."""
+    guide = Path(lipac.__file__).parent / "docs" / "user-guide.md"
+    places = {re.sub(r"[^a-z]+", "-", line.lstrip("# ").lower()) for line in guide.read_text().splitlines() if line.startswith("#")}
+    page, entries = panel.manual()
+    assert page.startswith("file://")
+    names = [f"bpy.types.{group.__name__}.{p.identifier}" for group in GROUPS for p in own_properties(group)]
+    names += [f"bpy.ops.{cls.bl_idname}" for cls in OPERATORS]
+    assert len(names) > 30
+    for name in names:
+        place = next((rest for pattern, rest in entries if fnmatch(name.lower(), pattern)), None)
+        assert place is not None, name
+        assert place.removeprefix("#") in places, name
+    assert {rest.removeprefix("#") for _, rest in entries} <= places
+
+
+@pytest.mark.parametrize("group", GROUPS)
 def test_every_property_has_a_tooltip(ui, group):
-    own = [p for p in group.bl_rna.properties if p.identifier not in {"rna_type", "name"}]
+    own = own_properties(group)
     assert own
     for p in own:
         assert len(p.description) > 10, p.identifier
@@ -46,8 +71,7 @@ def test_every_property_has_a_tooltip(ui, group):
 
 
 def test_every_operator_has_a_tooltip(ui):
-    assert len(operators._CLASSES) == 7
-    for cls in operators._CLASSES:
+    for cls in OPERATORS:
         text = getattr(bpy.ops.lipac, cls.bl_idname.removeprefix("lipac.")).get_rna_type().description
         assert len(text) > 10, cls
         assert not text.endswith(".")  # Blender shows it as it is
