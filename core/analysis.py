@@ -79,7 +79,7 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     def without(cull: np.ndarray, only: np.ndarray) -> F32:
         keep = loop.pinned.copy()
         keep[ids[~cull]] = True
-        return loop.luminance_without(measured, keep, only)
+        return loop.trace_paths(keep, measured.first_sample, only)[1]
 
     before = None if loop.known is None else loop.known[ids] & ~loop.kept[ids]
     search = Search(base, without, np.where(loop.pinned[ids, None], np.inf, worth), savings, budget, unseen, before, loop.options.hysteresis)

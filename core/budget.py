@@ -47,8 +47,9 @@ class Selection:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _greedy(order, weights, mean_bound, tile_bound):
-    """Cull in order while the mean of the tiles' sums and every tile's sum stay within bounds. order: (A,) int64; weights: (A, T) float64."""
+def _greedy(order, weights, mean_bound, tile_bounds):
+    """Cull in order while the mean of the tiles' sums and every tile's sum stay within bounds. order: (A,) int64; weights: (A, T) and
+    tile_bounds: (T,) float64."""
     count, tiles = weights.shape
     cull = np.zeros(count, np.bool_)
     sums = np.zeros(tiles)
@@ -58,7 +59,7 @@ def _greedy(order, weights, mean_bound, tile_bound):
         fits = True
         for t in range(tiles):
             own += weights[i, t]
-            if sums[t] + weights[i, t] > tile_bound:
+            if sums[t] + weights[i, t] > tile_bounds[t]:
                 fits = False
                 break
         if not fits or total + own > mean_bound * tiles:
@@ -95,14 +96,16 @@ class Savings:
         return ENTRY_BYTES * float(np.count_nonzero(cull)) + float(self.bytes_of[go].sum())
 
 
-def select(weights: F64, saved: F64, mean_bound: float, tile_bound: float, unseen: float = 0.0) -> Selection:
+def select(weights: F64, saved: F64, mean_bound: float, tile_bounds: F64 | float, unseen: float = 0.0) -> Selection:
     """The instances to cull: cheapest change per saved byte first, while both bounds hold.
 
-    weights: (A, T) relative change of each tile where instance a is missing; saved: (A,) bytes. unseen: change already owed to instances that no path met.
+    weights: (A, T) relative change of each tile where instance a is missing; saved: (A,) bytes; tile_bounds: one for all tiles,
+    or (T,). unseen: change already owed to instances that no path met.
     Greedy for a knapsack of two kinds of bound (Dantzig 1957 for one): within one instance's worth of the best.
     """
     order = np.argsort(weights.sum(axis=1) / saved, kind="stable")
-    cull, sums = _greedy(order, weights, max(mean_bound - unseen, 0.0), tile_bound)
+    bounds = np.ascontiguousarray(np.broadcast_to(np.asarray(tile_bounds, np.float64), weights.shape[1]))
+    cull, sums = _greedy(order, weights, max(mean_bound - unseen, 0.0), bounds)
     return Selection(cull, float(sums.mean()) + unseen, float(sums.max(initial=0.0)))
 
 

@@ -18,8 +18,9 @@ from .progress import Progress, silent
 from .scene import F32, F64, I32
 from .tiles import DARK, TILES, tiles_of
 
-SELECTIONS = 14  # trials of selections
-GROUPS = 12  # trials of groups
+TRIALS = 20  # of selections, at most
+PATIENCE = 6  # trials since one was the best so far, after which no better one is expected
+WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
 CONFIDENCE = 2.0  # standard deviations of its measurement that are added to the change of a tile
 AIM = 0.95  # of the budget: what the next selection is to use up
 PATHS = 1.0  # traced by all trials together at most, to those of the measurement: a calibration costs no more than what it calibrates
@@ -44,8 +45,13 @@ class Trial:
 
     @property
     def worst(self) -> float:
-        """Relative change of the worst tile, with CONFIDENCE standard deviations of its measurement on top."""
-        return float((np.abs(self.change) + CONFIDENCE * self.deviation).max())
+        """The largest `bound` of a tile."""
+        return float(self.bound.max())
+
+    @property
+    def bound(self) -> F64:
+        """(T,) relative change of each tile, with CONFIDENCE standard deviations of its measurement on top."""
+        return np.abs(self.change) + CONFIDENCE * self.deviation
 
 
 class Base:
@@ -123,30 +129,52 @@ class Search:
         self.before, self.hysteresis = before, hysteresis
         self.allowed = int(PATHS * base.log.luminance.size)
         self.traced = 0
+        self.known = np.zeros(len(worth), bool)  # whose worth has been measured
 
     def run(self, progress: Progress = silent) -> Choice:
-        """The best set found: selections first, each from what the ones before have found out, then groups of what is still kept."""
+        """The best of some selections. Each keeps to bounds in which the one before would have kept to the budget, had it been predicted as it was measured."""
         settled = self._as_before()
         if settled is not None:
             return settled
-        best = self._try(select(self.worth, self.savings.share, 0.0, 0.0)) or self._keep_all()
-        scale = 1.0
-        for k in range(SELECTIONS):
-            progress(k / (SELECTIONS + GROUPS), f"{len(self.worth) - best.cull.sum():,} instances stay")
-            mean = self.budget.mean * scale
-            choice = self._try(select(self.worth, self.savings.share, mean, self.budget.worst * scale, min(self.unseen, 0.5 * mean)))
-            if choice is None:
-                scale *= 0.5
-                continue
-            excess = self._excess(choice)
-            if excess <= 1 and self.savings.of(choice.cull) > self.savings.of(best.cull):
-                best = choice
-            # What is measured is known better than what was predicted.
-            self.worth[choice.cull] = np.abs(choice.trial.entries[choice.cull])
-            if best.cull.all():
+        best = self._try(self._select(0.0, np.zeros(TILES), set())) or self._keep_all()
+        aim, mean, tiles = AIM, self.budget.mean, np.full(TILES, self.budget.worst)
+        tried, last = {best.cull.tobytes()}, 0
+        for k in range(TRIALS):
+            progress(k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
+            if best.cull.all() or k - last > PATIENCE:
                 break
-            scale *= min(max(AIM / max(excess, 0.1), 0.5), 2.0)
-        return self._thin_out(best, progress)
+            choice = self._try(self._select(mean, tiles, tried))
+            if choice is None:
+                mean, tiles = mean / 2, tiles / 2
+                continue
+            tried.add(choice.cull.tobytes())
+            self._learn(choice)
+            if self._excess(choice) > 1:
+                aim *= AIM
+            else:
+                aim = min(aim / AIM**0.5, AIM)
+                if self.savings.of(choice.cull) > self.savings.of(best.cull):
+                    best, last = choice, k
+            predicted = self.worth[choice.cull].sum(axis=0)
+            mean = aim * self.budget.mean / float(_ratio(self._mean(choice), float(predicted.mean())))
+            tiles = aim * self.budget.worst / _ratio(choice.trial.bound, predicted)
+        return best
+
+    def _select(self, mean: float, tiles: F64, tried: set[bytes]) -> Selection:
+        """What saves most within bounds of the predicted change, wider ones where that has been tried: that the rest is too dear is but predicted."""
+        for _ in range(WIDENINGS):
+            selection = select(self.worth, self.savings.share, mean, tiles, min(self.unseen, 0.5 * mean))
+            if selection.cull.tobytes() not in tried:
+                break
+            mean, tiles = WIDER * mean, WIDER * tiles
+        return selection
+
+    def _learn(self, choice: Choice) -> None:
+        """What is measured is known better than what was predicted; of several measurements the largest, as others hide what lies behind them."""
+        cull = choice.cull
+        measured = np.abs(choice.trial.entries[cull])
+        self.worth[cull] = np.where(self.known[cull, None], np.maximum(measured, self.worth[cull]), measured)
+        self.known |= cull
 
     def _as_before(self) -> Choice | None:
         """What was culled in the last frame, and what no path meets; None where that breaks the budget or leaves much of it."""
@@ -158,25 +186,6 @@ class Search:
         if choice is None or not 1 / self.hysteresis <= self._excess(choice) <= 1:
             return None
         return choice
-
-    def _thin_out(self, best: Choice, progress: Progress) -> Choice:
-        """Cull groups of what is still kept too, least worth for what they save first; those that break the budget are halved and tried again."""
-        kept = np.flatnonzero(~best.cull & np.isfinite(self.worth).all(axis=1))
-        order = kept[np.argsort(self.worth[kept].sum(axis=1) / self.savings.share[kept], kind="stable")]
-        groups = [group for group in np.array_split(order, 4) if len(group)]
-        for k in range(GROUPS):
-            if not groups:
-                break
-            progress((SELECTIONS + k) / (SELECTIONS + GROUPS), f"{len(self.worth) - best.cull.sum():,} instances stay")
-            group = groups.pop(0)
-            cull = best.cull.copy()
-            cull[group] = True
-            choice = self._try(Selection(cull, best.selection.mean, best.selection.worst))
-            if choice is not None and self._excess(choice) <= 1:
-                best = choice
-            elif len(group) > 1:
-                groups += [half for half in np.array_split(group, 2) if len(half)]
-        return best
 
     def _try(self, selection: Selection) -> Choice | None:
         """Trace without what a selection culls; None where that would take more paths than are left."""
@@ -192,8 +201,16 @@ class Search:
         nothing = np.zeros(TILES)
         return Choice(Selection(np.zeros(len(self.worth), bool), 0.0, 0.0), Trial(nothing, nothing, np.zeros_like(self.worth)))
 
+    def _mean(self, choice: Choice) -> float:
+        """The mean change, with what is owed to instances that no path met."""
+        return choice.trial.mean + (self.unseen if choice.trial.mean else 0.0)
+
     def _excess(self, choice: Choice) -> float:
         """The change over what the budget allows, of the bound that is nearer to being broken."""
-        trial, budget = choice.trial, self.budget
-        changes = ((trial.mean + (self.unseen if trial.mean else 0.0), budget.mean), (trial.worst, budget.worst))
+        changes = ((self._mean(choice), self.budget.mean), (choice.trial.worst, self.budget.worst))
         return max(change / max(bound, 1e-30) if change else 0.0 for change, bound in changes)
+
+
+def _ratio(found: F64 | float, predicted: F64 | float) -> F64:
+    """How many times more was found than predicted, no more than twice either way; 1 where nothing was predicted."""
+    return np.clip(np.where(predicted > 0, found / np.maximum(predicted, 1e-30), 1.0), 0.5, 2.0)

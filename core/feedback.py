@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .hitboxes import Hitboxes
-from .scene import F64, I32, I64, RAY_TYPES
+from .scene import F64, I64, RAY_TYPES
 from .tiles import COLUMNS, DARK, ROWS, TILES
 
 __all__ = ["COLUMNS", "ROWS", "TILES", "Feedback", "Weights"]  # the kernel's
@@ -21,22 +21,19 @@ class Weights:
 
     light: (A, T) int64, luminance that paths gathered behind entry a in tile t, or at least what they carried times the mean luminance, since something that
     bright may stand behind it; and what its blocking denied to shadow rays. total: (T,) int64, luminance of all paths of a tile. Tiles in rows from the bottom.
-    entries: (N,) int32, entry of each instance, -1 where it has none. ambient: mean luminance of the picture. unit: luminance of one unit.
+    ambient: mean luminance of the picture. unit: luminance of one unit.
     """
 
     light: I64
     total: I64
-    entries: I32
     ambient: float
     unit: float
 
     @staticmethod
-    def zeros(instances: int, ids: I32, ambient: float) -> Weights:
-        """Nothing gathered yet, for the TLAS of ids over that many instances; ambient: mean luminance expected."""
-        entries = np.full(instances, -1, np.int32)
-        entries[ids] = np.arange(len(ids), dtype=np.int32)
+    def zeros(entries: int, ambient: float) -> Weights:
+        """Nothing gathered yet, for a TLAS of that many entries; ambient: mean luminance expected."""
         ambient = max(ambient, 1e-30)
-        return Weights(np.zeros((len(ids), TILES), np.int64), np.zeros(TILES, np.int64), entries, ambient, ambient / _FIXED)
+        return Weights(np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED)
 
     def relative(self) -> F64:
         """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64.

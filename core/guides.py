@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .bsdf import F_N, FRAME, P_BASE, PARAMS
 from .camera import camera_ray
+from .lobes import F_N, FRAME, P_BASE, PARAMS
 from .memory import address, f32_pointer
 from .primary import Primary
 from .scene import F32
@@ -42,9 +42,7 @@ def _fill(hits, values, camera, table, meshes, out):
             triangle, b1, b2 = np.int64(hits[y, x, 1]), values[y, x, 2], values[y, x, 3]
             mesh = mesh_record(meshes, table, instance)
             interpolate(mesh, table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, surf, frame)
-            _, _, _, dx, dy, dz, _ = camera_ray(
-                camera, (np.float32(x) + _HALF) / np.float32(width), (np.float32(y) + _HALF) / np.float32(height), _ZERO, _ZERO
-            )
+            _, _, _, dx, dy, dz, _ = camera_ray(camera, (np.float32(x) + _HALF) / np.float32(width), (np.float32(y) + _HALF) / np.float32(height), _ZERO, _ZERO)
             face(frame, dx, dy, dz)
             material_inputs(table, mesh, material_of(table, mesh, instance, triangle), triangle, b1, b2, params)
             for k in range(3):

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from . import path_kernel as kernel
+from . import path_state
 from .culling import CullOptions
 from .errors import InputError
 from .film import LUMINANCE, Picture
@@ -117,9 +117,9 @@ class Light:
         total = sum((p.sums for p in pictures[1:]), pictures[0].sums.copy()) / samples
         parts = [p.parts for p in pictures if p.parts is not None]
         part = sum(parts[1:], parts[0].copy()) / samples
-        straight, clear, maybe = (part[..., at : at + 3] for at in (kernel.STRAIGHT, kernel.CLEAR, kernel.MAYBE))
+        straight, clear, maybe = (part[..., at : at + 3] for at in (path_state.STRAIGHT, path_state.CLEAR, path_state.MAYBE))
         indirect = np.maximum(total[..., :3] - straight - clear - maybe, np.float32(0))
-        return Light(straight, clear, maybe, indirect, total[..., 3], part[..., kernel.SAMPLED_CLEAR : kernel.SAMPLED_BLOCKED + 1])
+        return Light(straight, clear, maybe, indirect, total[..., 3], part[..., path_state.SAMPLED_CLEAR : path_state.SAMPLED_BLOCKED + 1])
 
     def doubt(self, visible: F32 | None) -> F32:
         """s (H, W): the share of `maybe` that arrives, where the share `visible` (H, W) of the lamps' light does; all of it where no raster says."""

@@ -1,7 +1,8 @@
 """What a culled scene costs and how wrong it is, measured against the full one.
 
 The judge traces both with the same random numbers, which are not the analysis's: noise that both share cancels, and what is left is the bias of the culling. It
-traces in batches, so that every figure comes with a confidence interval.
+knows what each path of the full picture met (`path_log`), so the culled one costs only the paths that met something culled, and every path's own difference
+tells how sure a figure is.
 """
 
 from __future__ import annotations
@@ -11,19 +12,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .budget import Budget
+from .calibration import Base
 from .culling import CullOptions
 from .feedback import Weights
 from .loop import Loop
 from .metrics import linear_error
+from .path_log import PathLog
 from .progress import Progress, part, silent
 from .scene import F32, F64, I32, Scene
 from .tiles import DARK, tile_means
 
 SEED = 0x6A7564  # of the judge; an analysis has another one
-BATCHES = 4
-_TWO_SIDED_95 = 3.182  # Student's t at 3 degrees of freedom
+TIMED = 4  # paths per pixel that a set is timed with
+_TWO_SIDED_95 = 1.96  # standard deviations of a normal distribution
 
 
 @dataclass(frozen=True)
@@ -44,17 +48,11 @@ class Change:
         return self.mean <= budget.mean and self.worst <= budget.worst
 
 
-def paired_change(full: F32, culled: F32) -> Change:
-    """Change between two stacks of batches, (B, H, W, 3 or 4) float32 each, batch b of both traced with the same random numbers."""
-    a = np.stack([tile_means(p) for p in full])
-    b = np.stack([tile_means(p) for p in culled])
-    base = np.maximum(a.mean(axis=0), max(DARK * a.mean(), 1e-30))
-    relative = (b - a) / base
-    tiles = relative.mean(axis=0)
-    half = _TWO_SIDED_95 * relative.std(axis=0, ddof=1) / np.sqrt(len(full)) if len(full) > 1 else np.full(len(tiles), np.inf)
-    size = np.abs(tiles)
-    worst = int(size.argmax())
-    return Change(float(size.mean()), float(size[worst]), float(np.sqrt((half**2).sum()) / len(half)), float(half[worst]), tiles)
+def picture_change(full: F32, other: F32) -> tuple[float, float]:
+    """Relative change between two pictures, (H, W, 3 or 4) float32: mean over the coarse tiles and of the worst one, noise included."""
+    a, b = tile_means(full), tile_means(other)
+    size = np.abs(b - a) / np.maximum(a, max(DARK * a.mean(), 1e-30))
+    return float(size.mean()), float(size.max())
 
 
 class Judge:
@@ -63,50 +61,61 @@ class Judge:
     def __init__(
         self, scene: Scene, samples: int, threads: int = 0, progress: Progress = silent, cancelled: Callable[[], bool] | None = None
     ) -> None:
-        """samples: paths per pixel of the scene's film, a multiple of BATCHES (rounded up)."""
+        """samples: paths per pixel of the scene's film."""
         self.scene = scene
         self.loop = Loop(scene, CullOptions(width=scene.film.width, seed=SEED, threads=threads), cancelled)
-        self.per_batch = -(-samples // BATCHES)
-        self.samples = self.per_batch * BATCHES
+        self.samples = samples
         self.mesh_seconds = np.zeros(len(scene.meshes))
         for mesh in np.unique(scene.instances.mesh[self.loop.exists]):
             start = time.perf_counter()
             self.loop.blas.need(np.array([mesh]))
             self.mesh_seconds[mesh] = time.perf_counter() - start
-        tlas = self.loop.build(self.loop.exists)
+        self.tlas = self.loop.build(self.loop.exists)
         self.first_sample = self.loop.next_sample
-        self.full = self._batches(lambda k: self.loop.trace(tlas, self.per_batch)[1], part(progress, 0.0, 0.5))
-        self.second_seed = self._batches(lambda k: self.loop.trace(tlas, self.per_batch)[1], part(progress, 0.5, 1.0))
+        self.log = PathLog.zeros(scene.film.height, scene.film.width, samples)
+        self.full = self.loop.trace(self.tlas, samples, progress=part(progress, 0.0, 0.5, "full picture, "), log=self.log)[1]
+        self.second_seed = self.loop.trace(self.tlas, samples, progress=part(progress, 0.5, 1.0, "with another seed, "))[1]
+        self.base = Base(self.log)
 
-    def _batches(self, trace: Callable[[int], F32], progress: Progress, count: int = BATCHES) -> F32:
-        out = []
-        for k in range(count):
-            progress(k / count, f"full picture, {self.samples} paths per pixel")
-            out.append(trace(k))
-        return np.stack(out)
+    def _culled(self, keep: np.ndarray) -> tuple[np.ndarray, NDArray[np.uint8]]:
+        """(A,) bool entries of the full TLAS that keep (N,) bool leaves out, and which paths they matter to."""
+        culled = ~keep[self.tlas.ids]
+        return culled, self.log.affected(culled)
 
-    def picture(self, keep: np.ndarray, batches: int = BATCHES) -> F32:
-        """Batches of the picture with only keep (N,) bool in the scene: (batches, H, W, 4) float32."""
-        return np.stack([self.loop.trace_again(keep, self.first_sample + k * self.per_batch, self.per_batch) for k in range(batches)])
+    def change(self, keep: np.ndarray, share: float = 1.0) -> Change:
+        """Change by culling to keep (N,) bool. share: of the paths that are looked at; fewer are cheaper and noisier."""
+        culled, only = self._culled(keep)
+        used = max(1, round(share * self.samples))
+        only[:, :, used:] = 0
+        _, luminance = self.loop.trace_paths(keep, self.first_sample, only)
+        trial = self.base.compare(culled, only, luminance)
+        f = self.samples / used
+        tiles, half = f * trial.change, f * _TWO_SIDED_95 * trial.deviation
+        size = np.abs(tiles)
+        worst = int(size.argmax())
+        return Change(float(size.mean()), float(size[worst]), float(np.sqrt((half**2).sum()) / len(half)), float(half[worst]), tiles)
 
-    def change(self, keep: np.ndarray, batches: int = BATCHES) -> Change:
-        """Change by culling to keep (N,) bool; fewer batches are cheaper and noisier."""
-        return paired_change(self.full[:batches], self.picture(keep, batches))
+    def picture(self, keep: np.ndarray) -> F32:
+        """The picture with only keep (N,) bool in the scene, (H, W, 4) float32: the full one, with what has changed in it exchanged."""
+        _, only = self._culled(keep)
+        before, after = (self.loop.trace_paths(which, self.first_sample, only)[0] for which in (self.loop.exists, keep))
+        return np.asarray(self.full + (after - before), np.float32)
 
     def measure(self, keep: np.ndarray) -> tuple[dict[str, float], F32]:
-        """Error and cost of keep (N,) bool by name, and the mean picture (H, W, 4) float32."""
+        """Error and cost of keep (N,) bool by name, and the picture (H, W, 4) float32. trace_s: of TIMED paths per pixel."""
+        change, culled = self.change(keep), self.picture(keep)
+        cost = self.cost(keep)
         start = time.perf_counter()
-        culled = self.picture(keep)
-        seconds = time.perf_counter() - start
-        change, mean = paired_change(self.full, culled), culled.mean(axis=0)
+        self.loop.trace_again(keep, self.first_sample, TIMED)
+        cost["trace_s"] = time.perf_counter() - start
         error = {"mean": change.mean, "mean_ci": change.mean_ci, "worst": change.worst, "worst_ci": change.worst_ci}
-        return self.cost(keep) | {"trace_s": seconds} | error | linear_error(self.full.mean(axis=0), mean), mean
+        return cost | error | linear_error(self.full, culled), culled
 
     def noise_floor(self) -> dict[str, float]:
         """Error of the full picture with other random numbers: no culling can be seen below it."""
         a, b = self.full, self.second_seed
-        change = paired_change(a, b)
-        return {"mean": change.mean, "worst": change.worst} | linear_error(a.mean(axis=0), b.mean(axis=0))
+        mean, worst = picture_change(a, b)
+        return {"mean": mean, "worst": worst} | linear_error(a, b)
 
     def cost(self, keep: np.ndarray) -> dict[str, float]:
         """What keep (N,) bool takes: counts, Embree's bytes, seconds to build BLASes and TLAS."""
@@ -124,9 +133,6 @@ class Judge:
 
     def exhaustive_weights(self, samples: int, progress: Progress = silent) -> tuple[F64, I32]:
         """What each instance is worth with the whole scene active, from paths that the judge does not use: (A, T) float64, and ids (A,) int32."""
-        loop = self.loop
-        tlas = loop.build(loop.exists)
-        ambient = float(tile_means(self.full.mean(axis=0)).mean())
-        weights = Weights.zeros(len(self.scene.instances), tlas.ids, ambient)
-        loop.trace(tlas, samples, None, weights, progress)
-        return weights.relative(), tlas.ids
+        weights = Weights.zeros(len(self.tlas), float(tile_means(self.full).mean()))
+        self.loop.trace(self.tlas, samples, weights=weights, progress=progress)
+        return weights.relative(), self.tlas.ids

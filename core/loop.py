@@ -23,7 +23,7 @@ from .errors import Cancelled
 from .feedback import Feedback, Weights
 from .film import LUMINANCE, Picture
 from .hitboxes import Hitboxes
-from .path_log import PathLog
+from .path_log import RECORD, PathLog
 from .placing import LARGEST
 from .progress import Progress, part, silent
 from .regions import Cut, Regions
@@ -244,13 +244,14 @@ class Loop:
         weights: Weights | None = None,
         progress: Progress = silent,
         size: tuple[int, int] | None = None,
+        log: PathLog | None = None,
     ) -> tuple[Feedback, F32]:
         """Trace samples paths per pixel of a picture of size (the analysis' own by default), with random numbers that no earlier round used.
 
         Returns feedback and the mean picture.
         """
         first_sample, self.next_sample = self.next_sample, self.next_sample + samples
-        return self._counted(self.prepared, tlas, samples, first_sample, boxes, weights, progress, size or self.size)
+        return self._counted(self.prepared, tlas, samples, first_sample, boxes, weights, progress, size or self.size, log)
 
     def _counted(
         self,
@@ -282,7 +283,7 @@ class Loop:
         tlas = self.build(self.active, progress) if tlas is None else tlas
         built = np.zeros(len(self.active), bool)
         built[tlas.ids] = True
-        weights = Weights.zeros(len(self.active), tlas.ids, self.ambient)
+        weights = Weights.zeros(len(tlas), self.ambient)
         log = PathLog.zeros(self.size[1], self.size[0], self.samples)
         feedback, _ = self._counted(self._dark_but(built), tlas, self.samples, 0, None, weights, progress, self.size, log)
         return Measurement(tlas, feedback, weights, log, 0, self.prepared.emissive)
@@ -299,15 +300,18 @@ class Loop:
         self.timer.add("trace_s", start)
         return picture.mean
 
-    def luminance_without(self, measured: Measurement, keep: np.ndarray, only: NDArray[np.uint8], progress: Progress = silent) -> F32:
-        """Luminance of the paths of a measurement that only, (H, W, S), marks, with only keep (N,) bool in the scene: (H, W, S) float32."""
+    def trace_paths(self, keep: np.ndarray, first_sample: int, only: NDArray[np.uint8], progress: Progress = silent) -> tuple[F32, F32]:
+        """Again the paths that only, (H, W, S) uint8, marks of a trace that began at first_sample, with only keep (N,) bool in the scene.
+
+        Returns their part of the mean picture, (H, W, 4) float32, and the luminance of each, (H, W, S) float32.
+        """
         tlas = self.build(keep)
         start = time.perf_counter()
-        log = PathLog(measured.log.records, np.zeros_like(measured.log.luminance))
-        picture = self._trace(self._dark_but(keep), tlas, only.shape[2], measured.first_sample, None, progress, self.size, log, only)
+        log = PathLog(np.zeros((0, RECORD), np.int32), np.zeros(only.shape, np.float32))
+        picture = self._trace(self._dark_but(keep), tlas, only.shape[2], first_sample, None, progress, self.size, log, only)
         self.rays += picture.rays
         self.timer.add("trace_s", start)
-        return log.luminance
+        return picture.mean, log.luminance
 
     def _dark_but(self, keep: np.ndarray) -> Prepared:
         """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""
@@ -376,6 +380,7 @@ class Loop:
                 feedback, picture = self.trace(tlas, max(1, self.samples // 2), boxes)
                 self.ambient = _mean_luminance(picture)
                 asked = self._ask(cut, feedback)
+                self._light_up(cut, feedback)
                 coarse = asked >= UNKNOWN
                 if asked <= self.options.settled and self.rounds < self.options.max_iterations:
                     tlas = None  # with the few that were asked for at last
@@ -414,6 +419,14 @@ class Loop:
         self._asked = (cut, crossings)
         self.timer.add("feedback_s", start)
         return float(crossings[asked].sum()) / max(feedback.paths, 1)
+
+    def _light_up(self, cut: Cut, feedback: Feedback) -> None:
+        """Activate every emitter that lit a path, or whose box one crossed: few paths may carry much of a tile's light."""
+        lit = feedback.hits.any(axis=1)
+        leaves = cut.level == 0
+        lit[self.regions.order[cut.index[leaves]]] |= feedback.boxes[leaves].any(axis=1)
+        emissive = self.prepared.emissive
+        self.active[emissive[lit[emissive]]] = True
 
     def result(self, keep: np.ndarray, score: F32, hits: I64, **figures: float | int) -> CullingResult:
         """States for keep (N,) bool, with the final structures built and counted; figures go into the stats. What the next frame need not have is freed."""

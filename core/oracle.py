@@ -19,7 +19,7 @@ from .scene import F64, I32
 
 SCALINGS = 6  # traces that search the scale of the selection
 TRIALS = 16  # traces that try to take groups out
-BATCHES = 1  # of the judge's, for the search
+SHARE = 0.25  # of the judge's paths, for the search
 
 
 def retained(judge: Judge, keep: np.ndarray) -> float:
@@ -42,7 +42,7 @@ def search(
     found: list[np.ndarray] = [met]
 
     def holds(keep: np.ndarray) -> bool:
-        return judge.change(keep, BATCHES).holds(budget)
+        return judge.change(keep, SHARE).holds(budget)
 
     def selected(scale: float) -> np.ndarray:
         keep = np.zeros(count, bool)

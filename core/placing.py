@@ -30,14 +30,16 @@ def compose_rows(parents: Any, placement: Any, columns: Any, rows: Any, out: Any
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def finish(transform: Any, origin: Any, low: Any, high: Any, out: Any, bounds: Any, good: Any) -> int:
-    """float32 transforms relative to origin, and the world boxes of a mesh with the object-space box low, high; returns how many are usable.
+def finish(transform: Any, origin: Any, low: Any, high: Any, out: Any, bounds: Any, good: Any) -> tuple[int, float]:
+    """float32 transforms relative to origin, and the world boxes of a mesh with the object-space box low, high.
+
+    Returns how many are usable, and the largest factor by which any of them stretches an axis, infinite where a number is not finite.
 
     transform (n, 3, 4) float64; origin, low, high (3,) float64; out (n, 3, 4) float32; bounds (n, 2, 3) float32, rounded outward; good (n,) bool.
     Usable: finite and not singular, that is, the determinant exceeds 1e-7 (float32's precision) of the product of the column lengths, which exceed 1e-18 each.
     (Boxes: Arvo, "Transforming axis-aligned bounding boxes", Graphics Gems, 1990.)
     """
-    count = 0
+    count, stretch = 0, 0.0
     for k in range(len(transform)):
         m = transform[k]
         finite = True
@@ -58,6 +60,7 @@ def finish(transform: Any, origin: Any, low: Any, high: Any, out: Any, bounds: A
         x = np.sqrt(m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0] + m[2, 0] * m[2, 0])
         y = np.sqrt(m[0, 1] * m[0, 1] + m[1, 1] * m[1, 1] + m[2, 1] * m[2, 1])
         z = np.sqrt(m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2] + m[2, 2] * m[2, 2])
+        stretch = max(stretch, x, y, z) if finite else np.inf
         volume = (
             (m[1, 0] * m[2, 1] - m[2, 0] * m[1, 1]) * m[0, 2]
             + (m[2, 0] * m[0, 1] - m[0, 0] * m[2, 1]) * m[1, 2]
@@ -66,7 +69,7 @@ def finish(transform: Any, origin: Any, low: Any, high: Any, out: Any, bounds: A
         ok = finite and min(x, y, z) > 1e-18 and abs(volume) > 1e-7 * x * y * z
         good[k] = ok
         count += ok
-    return count
+    return count, stretch
 
 
 def usable_transforms(transform: Any) -> Any:

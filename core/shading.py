@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from .blas import MESH
-from .bsdf import (
+from .lobes import (
     F_N,
     F_NG,
     F_NS,
@@ -267,7 +267,7 @@ def sample_channel(table, mesh, index, channel, triangle, b1, b2):
 
 @njit(**INNER)
 def material_inputs(table, mesh, material, triangle, b1, b2, params):
-    """Evaluate a material's BSDF inputs at a point of a triangle into params (bsdf.P_*)."""
+    """Evaluate a material's BSDF inputs at a point of a triangle into params (lobes.P_*)."""
     for k in range(3):
         params[P_BASE + k] = load_f32(material + _BASE, k)
         params[P_SPECULAR_TINT + k] = load_f32(material + _TINT, k)

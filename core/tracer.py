@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from . import path_kernel as kernel
+from . import path_state as state
 from .blas import BlasCache
 from .camera import camera_constants
 from .change import Change
@@ -23,6 +23,7 @@ from .hitboxes import ALL_CROSSINGS, Hitboxes
 from .lamps import FAR
 from .lights import Lights, emissive_instances
 from .memory import address
+from .path_kernel import trace_tile
 from .path_log import PathLog
 from .progress import Progress, silent
 from .scene import F32, Instances, Scene, Shader
@@ -98,7 +99,7 @@ def trace(
     threads: int = 0,
     progress: Progress = silent,
     cancelled: Callable[[], bool] | None = None,
-    strategy: int = kernel.BOTH,
+    strategy: int = state.BOTH,
     log: PathLog | None = None,
     only: NDArray[np.uint8] | None = None,
     boxes: Hitboxes | None = None,
@@ -108,7 +109,7 @@ def trace(
     first_sample, seed: which random numbers; the same ones give the same picture and counts, bit for bit, at any number of threads.
     feedback: hits and box crossings are added to it; nearest: boxes counted per segment (hitboxes.ALL_CROSSINGS: every one); hitbox_every: count boxes on
     one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled now and then; where it
-    says True the picture is returned as far as it is. strategy: path_kernel.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
+    says True the picture is returned as far as it is. strategy: path_state.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
     log: gets the luminance of each path (less light that is known without tracing, `Primary.lamps_known`), and, where feedback is given, what the path met.
     only: (H, W, samples) uint8, trace those paths that are not 0.
     Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of what is culled, to tell for the parts
@@ -120,33 +121,40 @@ def trace(
     stats = np.zeros(2, np.int64)
     settings, limits = _settings(scene, width, height, samples, first_sample, seed, hitbox_every, nearest, strategy)
     if feedback is not None and feedback.weights is not None:
-        limits[kernel.V_AMBIENT], limits[kernel.V_UNITS] = feedback.weights.ambient, 1 / feedback.weights.unit
+        limits[state.V_AMBIENT], limits[state.V_UNITS] = feedback.weights.ambient, 1 / feedback.weights.unit
     addresses = _addresses(prepared, tlas, feedback, settings, limits, sums, stats)
     if log is not None:
-        addresses[kernel.A_LUMINANCE] = address(log.luminance)
-        addresses[kernel.A_LOG] = address(log.records) if feedback is not None else 0
+        addresses[state.A_LUMINANCE] = address(log.luminance)
+        addresses[state.A_LOG] = address(log.records) if feedback is not None else 0
+    entries = np.zeros(0, np.int32)
+    if feedback is not None and (feedback.weights is not None or log is not None):
+        entries = np.full(len(scene.instances), -1, np.int32)  # of emitters, that light sampling finds
+        entries[tlas.ids] = np.arange(len(tlas), dtype=np.int32)
+        addresses[state.A_ENTRIES] = address(entries)
     if only is not None:
-        addresses[kernel.A_ONLY] = address(only)
+        addresses[state.A_ONLY] = address(only)
     parts, primary = None, scene.first_hits.get((width, height))
     if primary is not None:
-        parts, camera = np.zeros((height, width, kernel.PARTS), np.float32), primary.constants
-        addresses[kernel.A_PARTS], addresses[kernel.A_CAMERA] = address(parts), address(camera)
-        settings[kernel.I_LAMPS_KNOWN] = primary.lamps_known
-        addresses[kernel.A_PRIMARY], addresses[kernel.A_PRIMARY_MESHES] = address(primary.hits), address(primary.meshes.table)
+        parts, camera = np.zeros((height, width, state.PARTS), np.float32), primary.constants
+        addresses[state.A_PARTS], addresses[state.A_CAMERA] = address(parts), address(camera)
+        settings[state.I_LAMPS_KNOWN] = primary.lamps_known
+        addresses[state.A_PRIMARY], addresses[state.A_PRIMARY_MESHES] = address(primary.hits), address(primary.meshes.table)
         if boxes is not None and len(boxes):
-            addresses[kernel.BOXES], addresses[kernel.A_BOX_COUNTERS] = boxes.handle, address(boxes.counters)
-            addresses[kernel.N_BOXES] = len(boxes)
+            addresses[state.BOXES], addresses[state.A_BOX_COUNTERS] = boxes.handle, address(boxes.counters)
+            addresses[state.N_BOXES] = len(boxes)
     tiles = [(x, y, min(x + TILE, width), min(y + TILE, height)) for y in range(0, height, TILE) for x in range(0, width, TILE)]
     if only is not None:
         tiles = [(x, y, x1, y1) for x, y, x1, y1 in tiles if only[y:y1, x:x1].any()]
-    _run(tiles, lambda tile: kernel.trace_tile(*tile, addresses), threads, f"tracing {width} x {height}, {samples} paths per pixel", progress, cancelled)
-    return Picture(sums, samples, int(stats[kernel.PATHS]), int(stats[kernel.RAYS]), parts)
+    _run(tiles, lambda tile: trace_tile(*tile, addresses), threads, f"tracing {width} x {height}, {samples} paths per pixel", progress, cancelled)
+    return Picture(sums, samples, int(stats[state.PATHS]), int(stats[state.RAYS]), parts)
 
 
 def _run(
     tiles: Sequence[Tile], work: Callable[[Tile], None], threads: int, text: str, progress: Progress, cancelled: Callable[[], bool] | None
 ) -> None:
     """Work on all tiles, each thread on the next one that nobody has taken; progress and cancelled are asked for now and then."""
+    if cancelled and cancelled():
+        return
     left, stop = iter(tiles), threading.Event()
 
     def take() -> None:
@@ -159,9 +167,9 @@ def _run(
         running = {pool.submit(take) for _ in range(min(threads or os.cpu_count() or 1, len(tiles)))}
         try:
             while running:
+                done, running = wait(running, _POLL)
                 if cancelled and cancelled():
                     stop.set()
-                done, running = wait(running, _POLL)
                 for future in done:
                     future.result()
                 progress(1 - operator.length_hint(left) / len(tiles), text)
@@ -174,33 +182,33 @@ def _settings(
 ) -> tuple[NDArray[np.int64], F32]:
     """The kernel's settings and limits."""
     limits = scene.limits
-    settings = np.zeros(kernel.SETTINGS, np.int64)
+    settings = np.zeros(state.SETTINGS, np.int64)
     for slot, value in {
-        kernel.I_WIDTH: width,
-        kernel.I_HEIGHT: height,
-        kernel.I_FIRST_SAMPLE: first_sample,
-        kernel.I_SAMPLES: samples,
-        kernel.I_SEED: seed,
-        kernel.I_TOTAL: limits.total,
-        kernel.I_DIFFUSE: limits.diffuse,
-        kernel.I_GLOSSY: limits.glossy,
-        kernel.I_TRANSMISSION: limits.transmission,
-        kernel.I_TRANSPARENT: limits.transparent,
-        kernel.I_REFLECTIVE: limits.caustics_reflective,
-        kernel.I_REFRACTIVE: limits.caustics_refractive,
-        kernel.I_TRANSPARENT_FILM: scene.film.transparent,
-        kernel.I_TRANSPARENT_SHADOWS: has_transparent_shadows(scene),
-        kernel.I_HITBOX_EVERY: hitbox_every,
-        kernel.I_HITBOX_NEAREST: nearest,
-        kernel.I_STRATEGY: strategy,
+        state.I_WIDTH: width,
+        state.I_HEIGHT: height,
+        state.I_FIRST_SAMPLE: first_sample,
+        state.I_SAMPLES: samples,
+        state.I_SEED: seed,
+        state.I_TOTAL: limits.total,
+        state.I_DIFFUSE: limits.diffuse,
+        state.I_GLOSSY: limits.glossy,
+        state.I_TRANSMISSION: limits.transmission,
+        state.I_TRANSPARENT: limits.transparent,
+        state.I_REFLECTIVE: limits.caustics_reflective,
+        state.I_REFRACTIVE: limits.caustics_refractive,
+        state.I_TRANSPARENT_FILM: scene.film.transparent,
+        state.I_TRANSPARENT_SHADOWS: has_transparent_shadows(scene),
+        state.I_HITBOX_EVERY: hitbox_every,
+        state.I_HITBOX_NEAREST: nearest,
+        state.I_STRATEGY: strategy,
     }.items():
         settings[slot] = value
-    values = np.zeros(kernel.LIMITS, np.float32)
-    values[kernel.V_CLAMP_DIRECT] = 3 * limits.clamp_direct if limits.clamp_direct > 0 else FAR
-    values[kernel.V_CLAMP_INDIRECT] = 3 * limits.clamp_indirect if limits.clamp_indirect > 0 else FAR
-    values[kernel.V_FILTER_GLOSSY] = 1 / limits.filter_glossy if limits.filter_glossy > 0 else 0
-    values[kernel.V_EXPOSURE] = scene.film.exposure
-    values[kernel.V_WORLD : kernel.V_WORLD + 3] = scene.world.color
+    values = np.zeros(state.LIMITS, np.float32)
+    values[state.V_CLAMP_DIRECT] = 3 * limits.clamp_direct if limits.clamp_direct > 0 else FAR
+    values[state.V_CLAMP_INDIRECT] = 3 * limits.clamp_indirect if limits.clamp_indirect > 0 else FAR
+    values[state.V_FILTER_GLOSSY] = 1 / limits.filter_glossy if limits.filter_glossy > 0 else 0
+    values[state.V_EXPOSURE] = scene.film.exposure
+    values[state.V_WORLD : state.V_WORLD + 3] = scene.world.color
     return settings, values
 
 
@@ -215,31 +223,30 @@ def _addresses(
 ) -> NDArray[np.uint64]:
     """Where the kernel finds everything; the caller keeps it alive."""
     lights = prepared.lights
-    out = np.zeros(kernel.ADDRESSES, np.uint64)
+    out = np.zeros(state.ADDRESSES, np.uint64)
     places: dict[int, int] = {
-        kernel.A_TABLE: address(prepared.table.table),
-        kernel.A_LIGHTS: address(lights.table),
-        kernel.A_LAMPS: address(lights.lamps),
-        kernel.A_NODES: address(lights.nodes),
-        kernel.A_CHILDREN: address(lights.children),
-        kernel.A_MESHES: address(prepared.blas.table),
-        kernel.TLAS: int(tlas.handle),
-        kernel.A_IDS: address(tlas.ids),
-        kernel.A_FIRST: address(tlas.first),
-        kernel.A_SETTINGS: address(settings),
-        kernel.A_LIMITS: address(limits),
-        kernel.A_CAMERA: address(prepared.camera),
-        kernel.A_FILTER: address(prepared.pixel_filter),
-        kernel.A_SUMS: address(sums),
-        kernel.A_STATS: address(stats),
+        state.A_TABLE: address(prepared.table.table),
+        state.A_LIGHTS: address(lights.table),
+        state.A_LAMPS: address(lights.lamps),
+        state.A_NODES: address(lights.nodes),
+        state.A_CHILDREN: address(lights.children),
+        state.A_MESHES: address(prepared.blas.table),
+        state.TLAS: int(tlas.handle),
+        state.A_IDS: address(tlas.ids),
+        state.A_FIRST: address(tlas.first),
+        state.A_SETTINGS: address(settings),
+        state.A_LIMITS: address(limits),
+        state.A_CAMERA: address(prepared.camera),
+        state.A_FILTER: address(prepared.pixel_filter),
+        state.A_SUMS: address(sums),
+        state.A_STATS: address(stats),
     }
     for slot, value in places.items():
         out[slot] = value
     if feedback is not None:
-        out[kernel.HITBOXES] = feedback.hitboxes
-        out[kernel.A_COUNTERS], out[kernel.N_COUNTERS] = address(feedback.boxes), len(feedback.boxes)
-        out[kernel.A_FEEDBACK] = address(feedback.hits)
+        out[state.HITBOXES] = feedback.hitboxes
+        out[state.A_COUNTERS], out[state.N_COUNTERS] = address(feedback.boxes), len(feedback.boxes)
+        out[state.A_FEEDBACK] = address(feedback.hits)
         if feedback.weights is not None:
-            out[kernel.A_WEIGHTS], out[kernel.A_TILE_LIGHT] = address(feedback.weights.light), address(feedback.weights.total)
-            out[kernel.A_ENTRIES] = address(feedback.weights.entries)
+            out[state.A_WEIGHTS], out[state.A_TILE_LIGHT] = address(feedback.weights.light), address(feedback.weights.total)
     return out

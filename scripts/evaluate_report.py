@@ -80,7 +80,7 @@ def pictures(folder: Path, summary: Summary, evaluation: Evaluation) -> None:
     from ..core.metrics import flip_hdr
 
     rows, full = summary["rows"], evaluation.pictures[0]
-    sheet = [np.concatenate([shown(full), shown(evaluation.judge.second_seed.mean(axis=0)[..., :3])])]
+    sheet = [np.concatenate([shown(full), shown(evaluation.judge.second_seed[..., :3])])]
     for k in chosen(rows):
         difference, _ = flip_hdr(full, evaluation.pictures[k])
         sheet.append(np.concatenate([shown(evaluation.pictures[k]), colormaps["magma"](difference[::-1], bytes=True)[..., :3]]))

@@ -377,13 +377,12 @@ class Placer:
         rows = out.rows[out.count : out.count + count]
         good = np.empty(count, np.bool_)
         low, high = source.bounds.astype(np.float64)
-        linear = at.transform[:, :, :3]
-        reach = np.maximum(np.abs(low), np.abs(high)).max() * np.sqrt(np.einsum("nij,nij->nj", linear, linear).max(initial=0.0))
-        self.block.reach = max(self.block.reach, float(reach) if np.isfinite(reach) else np.inf)
         if source.origin is None:
             source.origin = np.zeros(3) if self.camera is None else local_origin(low, high, at.transform, self.camera)
         placed = shifted(at.transform, source.origin) if source.origin.any() else np.ascontiguousarray(at.transform)
-        usable = finish(placed, self.origin, low - source.origin, high - source.origin, rows.transform, rows.bounds, good)
+        usable, stretch = finish(placed, self.origin, low - source.origin, high - source.origin, rows.transform, rows.bounds, good)
+        reach = float(np.maximum(np.abs(low), np.abs(high)).max()) * stretch
+        self.block.reach = max(self.block.reach, reach if np.isfinite(reach) else np.inf)
         keep: Any = slice(None)
         if usable < count:
             self.block.dropped[source.name] = self.block.dropped.get(source.name, 0) + count - usable

@@ -136,11 +136,11 @@ def _save_copies(scene: bpy.types.Scene, result: results.FrameResult, folder: Pa
 
 def difference_of(pictures: list[np.ndarray], taken: list[dict[str, float]]) -> Difference:
     """From the full and the culled picture, (H, W, 4) float32, and what each child said."""
-    from ...core.judge import paired_change
+    from ...core.judge import picture_change
 
-    change = paired_change(pictures[0][None], pictures[1][None])
+    mean, worst = picture_change(*pictures)
     (full_s, culled_s), (full_b, culled_b) = ([t[name] for t in taken] for name in ("seconds", "peak_bytes"))
-    return Difference((full_s, culled_s), (int(full_b), int(culled_b)), change.mean, change.worst)
+    return Difference((full_s, culled_s), (int(full_b), int(culled_b)), mean, worst)
 
 
 def _show(pictures: list[np.ndarray]) -> None:

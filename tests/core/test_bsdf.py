@@ -11,7 +11,7 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from lipac.core import bsdf, ggx_albedo
+from lipac.core import bsdf, ggx_albedo, lobes
 from lipac.core.scene import Shader
 
 F64 = NDArray[np.float64]
@@ -19,19 +19,19 @@ Case = tuple[Shader, dict[str, Any]]
 UP = (0.0, 0.0, 1.0)
 
 SLOTS = {
-    "base": (bsdf.P_BASE, "Base Color"),
-    "metallic": (bsdf.P_METALLIC, "Metallic"),
-    "roughness": (bsdf.P_ROUGHNESS, "Roughness"),
-    "diffuse_roughness": (bsdf.P_DIFFUSE_ROUGHNESS, "Diffuse Roughness"),
-    "ior": (bsdf.P_IOR, "IOR"),
-    "specular_level": (bsdf.P_SPECULAR_LEVEL, "Specular IOR Level"),
-    "specular_tint": (bsdf.P_SPECULAR_TINT, "Specular Tint"),
-    "transmission": (bsdf.P_TRANSMISSION, "Transmission Weight"),
-    "alpha": (bsdf.P_ALPHA, "Alpha"),
-    "coat": (bsdf.P_COAT, "Coat Weight"),
-    "coat_roughness": (bsdf.P_COAT_ROUGHNESS, "Coat Roughness"),
-    "coat_ior": (bsdf.P_COAT_IOR, "Coat IOR"),
-    "coat_tint": (bsdf.P_COAT_TINT, "Coat Tint"),
+    "base": (lobes.P_BASE, "Base Color"),
+    "metallic": (lobes.P_METALLIC, "Metallic"),
+    "roughness": (lobes.P_ROUGHNESS, "Roughness"),
+    "diffuse_roughness": (lobes.P_DIFFUSE_ROUGHNESS, "Diffuse Roughness"),
+    "ior": (lobes.P_IOR, "IOR"),
+    "specular_level": (lobes.P_SPECULAR_LEVEL, "Specular IOR Level"),
+    "specular_tint": (lobes.P_SPECULAR_TINT, "Specular Tint"),
+    "transmission": (lobes.P_TRANSMISSION, "Transmission Weight"),
+    "alpha": (lobes.P_ALPHA, "Alpha"),
+    "coat": (lobes.P_COAT, "Coat Weight"),
+    "coat_roughness": (lobes.P_COAT_ROUGHNESS, "Coat Roughness"),
+    "coat_ior": (lobes.P_COAT_IOR, "Coat IOR"),
+    "coat_tint": (lobes.P_COAT_TINT, "Coat Tint"),
 }
 DEFAULTS: dict[str, Any] = {
     "base": (0.8, 0.8, 0.8),
@@ -101,7 +101,7 @@ def unit(v: Any) -> F64:
 
 
 def params(inputs: dict[str, Any]) -> NDArray[np.float32]:
-    out = np.zeros(bsdf.PARAMS, np.float32)
+    out = np.zeros(lobes.PARAMS, np.float32)
     for name, value in {**DEFAULTS, **inputs}.items():
         values = np.atleast_1d(value)
         out[SLOTS[name][0] : SLOTS[name][0] + len(values)] = values
@@ -110,7 +110,7 @@ def params(inputs: dict[str, Any]) -> NDArray[np.float32]:
 
 def setup(case: Case, wi: Any, flags: int = 0, n: Any = UP, ns: Any = UP) -> F64:
     """Closure of a case seen along wi, on a surface that faces +Z."""
-    closure = np.full(bsdf.CLOSURE, np.nan)
+    closure = np.full(lobes.CLOSURE, np.nan)
     frame = np.concatenate([wi, unit(n), unit(ns), UP]).astype(np.float32)
     bsdf.bsdf_setup(closure, params(case[1]), int(case[0]), frame, flags)
     return closure
@@ -131,7 +131,7 @@ def _evaluate(closure: Any, w: Any, out: Any) -> None:
 
 def draw(closure: F64, count: int, seed: int = 1) -> F64:
     """(count, 9): out of bsdf_sample, then the label."""
-    out = np.zeros((count, bsdf.OUT + 1))
+    out = np.zeros((count, lobes.OUT + 1))
     _draw(closure, np.random.default_rng(seed).random((count, 3)), out)
     out[out[:, 8] == 0, :8] = 0.0
     return out
@@ -139,22 +139,22 @@ def draw(closure: F64, count: int, seed: int = 1) -> F64:
 
 def evaluate(closure: F64, w: F64) -> F64:
     """(len(w), 4): value and pdf."""
-    out = np.zeros((len(w), bsdf.OUT))
+    out = np.zeros((len(w), lobes.OUT))
     _evaluate(closure, np.ascontiguousarray(w, dtype=np.float64), out)
-    return out[:, [0, 1, 2, bsdf.O_PDF]]
+    return out[:, [0, 1, 2, lobes.O_PDF]]
 
 
 def albedo(closure: F64, count: int) -> tuple[F64, F64]:
     """Mean sample weight and its standard error."""
-    weight = draw(closure, count)[:, bsdf.O_WEIGHT : bsdf.O_WEIGHT + 3]
+    weight = draw(closure, count)[:, lobes.O_WEIGHT : lobes.O_WEIGHT + 3]
     return weight.mean(0), weight.std(0) / np.sqrt(count)
 
 
-SMOOTH = [c for c in CASES if not (c[0] == Shader.TRANSPARENT or params(c[1])[bsdf.P_ROUGHNESS] == 0.0 or params(c[1])[bsdf.P_ALPHA] < 1.0)]
+SMOOTH = [c for c in CASES if not (c[0] == Shader.TRANSPARENT or params(c[1])[lobes.P_ROUGHNESS] == 0.0 or params(c[1])[lobes.P_ALPHA] < 1.0)]
 
 
 @pytest.mark.parametrize("degrees", [20.0, 75.0])
-@pytest.mark.parametrize("flags", [0, bsdf.BACKFACING])
+@pytest.mark.parametrize("flags", [0, lobes.BACKFACING])
 def test_samples_follow_the_pdf(degrees: float, flags: int) -> None:
     """Chi-square over cells of the sphere, 1 % significance for the family of all cases (Bonferroni)."""
     stats = pytest.importorskip("scipy.stats")
@@ -169,10 +169,10 @@ def test_samples_follow_the_pdf(degrees: float, flags: int) -> None:
         closure = setup(case, wi, flags)
         pdf = evaluate(closure, w)[:, 3]
         # Cycles' density of refraction does not vanish where no microfacet refracts wi to w; sampling never goes there.
-        eta = params(case[1])[bsdf.P_IOR] ** (-1.0 if flags else 1.0)
+        eta = params(case[1])[lobes.P_IOR] ** (-1.0 if flags else 1.0)
         half = np.sign(1.0 - eta) * (eta * w + wi)
-        lobes = case[0] in (Shader.GLASS, Shader.REFRACTION) or params(case[1])[bsdf.P_TRANSMISSION] > 0.0
-        impossible = (w[:, 2] < 0.0) & ((half @ wi <= 0.0) | (half[:, 2] <= 0.0) | ((half * w).sum(1) >= 0.0)) & lobes
+        refracts = case[0] in (Shader.GLASS, Shader.REFRACTION) or params(case[1])[lobes.P_TRANSMISSION] > 0.0
+        impossible = (w[:, 2] < 0.0) & ((half @ wi <= 0.0) | (half[:, 2] <= 0.0) | ((half * w).sum(1) >= 0.0)) & refracts
         pdf[impossible] = 0.0
         cells = pdf.reshape(bins[0], fine, bins[1], fine).mean((1, 3)).ravel() * (4.0 * np.pi / (bins[0] * bins[1]))
         out = draw(closure, count)
@@ -193,12 +193,12 @@ def test_samples_follow_the_pdf(degrees: float, flags: int) -> None:
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_weight_is_value_over_pdf(case: Case) -> None:
     """Float64 against itself: the value seen from the sampled direction is the value that was sampled."""
-    for flags in (0, bsdf.BACKFACING):
+    for flags in (0, lobes.BACKFACING):
         closure = setup(case, direction(50.0), flags)
         out = draw(closure, 300)
-        out = out[(out[:, 8] != 0) & (out[:, 8].astype(int) & (bsdf.SINGULAR | bsdf.TRANSPARENT) == 0)]
+        out = out[(out[:, 8] != 0) & (out[:, 8].astype(int) & (lobes.SINGULAR | lobes.TRANSPARENT) == 0)]
         value = evaluate(closure, out[:, :3])
-        np.testing.assert_allclose(value[:, 3], out[:, bsdf.O_PDF], rtol=1e-6)
+        np.testing.assert_allclose(value[:, 3], out[:, lobes.O_PDF], rtol=1e-6)
         np.testing.assert_allclose(value[:, :3] / value[:, 3:], out[:, 3:6], rtol=1e-6, atol=1e-12)
         assert np.allclose(np.linalg.norm(out[:, :3], axis=1), 1.0, atol=1e-6)
 
@@ -250,7 +250,7 @@ def test_nothing_breaks_at_the_edges() -> None:
         closure = setup(case, wi, int(rng.integers(0, 8)), *((n, ns) if trial % 3 else (UP, UP)))
         if trial % 5 == 0:
             bsdf.bsdf_blur(closure, 0.3)
-        public = closure[: bsdf.C_HAS_EVAL + 1]
+        public = closure[: lobes.C_HAS_EVAL + 1]
         assert np.isfinite(public).all() and (public >= 0.0).all(), case
         out = draw(closure, 20, trial)
         assert np.isfinite(out).all() and (out[:, 3:8] >= 0.0).all(), case
@@ -277,35 +277,35 @@ def test_tables_are_what_the_module_computes() -> None:
 
 def test_public_slots() -> None:
     """Emission is dimmed by alpha and coat, transparency is 1 - alpha, sharp surfaces have nothing for light sampling until blurred."""
-    out = np.zeros(bsdf.OUT)
+    out = np.zeros(lobes.OUT)
     closure = setup(principled(alpha=0.25), direction(30.0))
-    assert closure[bsdf.C_EMISSION] == pytest.approx(0.25) and closure[bsdf.C_TRANSPARENCY] == pytest.approx(0.75)
+    assert closure[lobes.C_EMISSION] == pytest.approx(0.25) and closure[lobes.C_TRANSPARENCY] == pytest.approx(0.75)
     bsdf.bsdf_transparency(params({"alpha": 0.25}), int(Shader.PRINCIPLED), out)
     assert out[:3] == pytest.approx(0.75)
     bsdf.bsdf_transparency(params({"base": ORANGE}), int(Shader.TRANSPARENT), out)
     assert out[:3] == pytest.approx(ORANGE)
     bsdf.bsdf_transparency(params({}), int(Shader.GLASS), out)
     assert not out[:3].any()
-    assert 0.9 < setup(principled(coat=1.0), direction(30.0))[bsdf.C_EMISSION] < 0.97  # 4 % reflected at normal incidence
+    assert 0.9 < setup(principled(coat=1.0), direction(30.0))[lobes.C_EMISSION] < 0.97  # 4 % reflected at normal incidence
     mirror = setup((Shader.GLOSSY, {"base": WHITE, "roughness": 0.0}), direction(30.0))
-    assert mirror[bsdf.C_HAS_EVAL] == 0.0
-    assert draw(mirror, 1)[0, 8] == bsdf.REFLECT | bsdf.SINGULAR
+    assert mirror[lobes.C_HAS_EVAL] == 0.0
+    assert draw(mirror, 1)[0, 8] == lobes.REFLECT | lobes.SINGULAR
     np.testing.assert_allclose(draw(mirror, 1)[0, :3], direction(30.0, -90.0), atol=1e-7)
     bsdf.bsdf_blur(mirror, 0.2)
-    assert mirror[bsdf.C_HAS_EVAL] == 1.0
-    assert draw(mirror, 1)[0, 8] == bsdf.REFLECT | bsdf.GLOSSY
-    assert draw(mirror, 1)[0, bsdf.O_ROUGHNESS] == pytest.approx(0.2)
+    assert mirror[lobes.C_HAS_EVAL] == 1.0
+    assert draw(mirror, 1)[0, 8] == lobes.REFLECT | lobes.GLOSSY
+    assert draw(mirror, 1)[0, lobes.O_ROUGHNESS] == pytest.approx(0.2)
 
 
 def test_caustics_off() -> None:
     """The flags leave no glossy reflection, or no refraction."""
     glass = (Shader.GLASS, {"base": WHITE, "roughness": 0.2})
-    labels = draw(setup(glass, direction(30.0), bsdf.NO_REFLECTIVE_CAUSTICS), 500)[:, 8].astype(int)
-    assert not (labels & bsdf.REFLECT).any() and (labels & bsdf.TRANSMIT).any()
-    labels = draw(setup(glass, direction(30.0), bsdf.NO_REFRACTIVE_CAUSTICS), 500)[:, 8].astype(int)
-    assert not (labels & bsdf.TRANSMIT).any() and (labels & bsdf.REFLECT).any()
-    labels = draw(setup((Shader.PRINCIPLED, {}), direction(30.0), bsdf.NO_REFLECTIVE_CAUSTICS), 500)[:, 8].astype(int)
-    assert set(labels) <= {0, bsdf.REFLECT | bsdf.DIFFUSE}
+    labels = draw(setup(glass, direction(30.0), lobes.NO_REFLECTIVE_CAUSTICS), 500)[:, 8].astype(int)
+    assert not (labels & lobes.REFLECT).any() and (labels & lobes.TRANSMIT).any()
+    labels = draw(setup(glass, direction(30.0), lobes.NO_REFRACTIVE_CAUSTICS), 500)[:, 8].astype(int)
+    assert not (labels & lobes.TRANSMIT).any() and (labels & lobes.REFLECT).any()
+    labels = draw(setup((Shader.PRINCIPLED, {}), direction(30.0), lobes.NO_REFLECTIVE_CAUSTICS), 500)[:, 8].astype(int)
+    assert set(labels) <= {0, lobes.REFLECT | lobes.DIFFUSE}
 
 
 # Cycles as the judge: one strip of a plane per case, seen by an orthographic camera, so that every pixel of a strip has the same two directions.
@@ -420,7 +420,7 @@ def test_agrees_with_cycles_in_sunlight(back: bool, smooth: Any, normal: Any, tm
     scene.collection.objects.link(sun)
     ns = UP if smooth is None else smooth
     n = ns if normal is None else normal
-    flags = bsdf.BACKFACING if back else 0
+    flags = lobes.BACKFACING if back else 0
     for degrees in (10.0, 45.0, 80.0):
         wi = direction(degrees)
         for polar, azimuth in ((5.0, 90.0), (45.0, -60.0), (80.0, -85.0), (125.0, -90.0), (165.0, 30.0)):
@@ -447,6 +447,6 @@ def test_agrees_with_cycles_under_a_white_sky(back: bool, tmp_path: Path) -> Non
         wi = direction(degrees)
         picture = cycles_picture(scene, wi, 512, tmp_path)
         for i, case in enumerate(CASES):
-            mean, error = albedo(setup(case, wi, bsdf.BACKFACING if back else 0), 60000)
+            mean, error = albedo(setup(case, wi, lobes.BACKFACING if back else 0), 60000)
             noise = np.sqrt(error**2 + picture[i].var(0, ddof=1) / picture.shape[1])
             assert (np.abs(mean - picture[i].mean(0)) < 5.0 * noise + 3e-4).all(), (case, degrees, mean, picture[i].mean(0), noise)

@@ -39,9 +39,9 @@ def test_paths_that_met_nothing_culled_do_not_change(measured: tuple[Loop, Measu
     cull, keep = cull_some(loop, m, seed)
     only = m.log.affected(cull)
     assert 0 < only.mean() < 1
-    everything = loop.luminance_without(m, keep, np.ones_like(only))
+    everything = loop.trace_paths(keep, m.first_sample, np.ones_like(only))[1]
     np.testing.assert_array_equal(everything[only == 0], m.log.luminance[only == 0])
-    np.testing.assert_array_equal(loop.luminance_without(m, keep, only)[only == 1], everything[only == 1])
+    np.testing.assert_array_equal(loop.trace_paths(keep, m.first_sample, only)[1][only == 1], everything[only == 1])
     assert (everything[only == 1] != m.log.luminance[only == 1]).any()
 
 
@@ -62,12 +62,12 @@ def test_change_is_that_of_the_picture(measured: tuple[Loop, Measurement]) -> No
     base = Base(m.log)
     cull, keep = cull_some(loop, m, 1)
     only = m.log.affected(cull)
-    trial = base.compare(cull, only, loop.luminance_without(m, keep, only))
+    trial = base.compare(cull, only, loop.trace_paths(keep, m.first_sample, only)[1])
     height, width, samples = only.shape
     y, x = np.arange(height) * ROWS // height, np.arange(width) * COLUMNS // width
     tile = np.repeat((y[:, None] * COLUMNS + x[None, :]).ravel(), samples)
     a = np.bincount(tile, m.log.luminance.ravel(), TILES)
-    b = np.bincount(tile, loop.luminance_without(m, keep, np.ones_like(only)).ravel(), TILES)
+    b = np.bincount(tile, loop.trace_paths(keep, m.first_sample, np.ones_like(only))[1].ravel(), TILES)
     np.testing.assert_allclose(trial.change, (b - a) / base.light, atol=1e-6)
     np.testing.assert_allclose(trial.entries.sum(axis=0), trial.change, atol=1e-9)  # no record is over-full here
     assert (trial.entries[~cull] == 0).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lipac.core.placing import compose_rows, finish, usable_transforms
 
@@ -32,7 +33,9 @@ def test_finish_boxes_enclose_tightly() -> None:
     transform[:, :, 3] += origin
     low, high = np.array([-1.0, 0.5, -3.0]), np.array([2.0, 0.75, 4.0])
     out, bounds, good = np.empty((200, 3, 4), np.float32), np.empty((200, 2, 3), np.float32), np.empty(200, np.bool_)
-    assert finish(transform, origin, low, high, out, bounds, good) == 200
+    usable, stretch = finish(transform, origin, low, high, out, bounds, good)
+    assert usable == 200
+    assert stretch == pytest.approx(np.linalg.norm(transform[:, :, :3], axis=1).max(), rel=1e-12)
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(8, 3)
     world = np.einsum("nij,kj->nki", transform[:, :, :3], corners) + (transform[:, :, 3] - origin)[:, None]
     tolerance = 4 * np.finfo(np.float32).eps * np.abs(world).max()

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lipac.core import path_kernel
+from lipac.core import path_state
 from lipac.core import scene as s
 from lipac.core.blas import BlasCache
 from lipac.core.feedback import Feedback
@@ -77,7 +77,7 @@ def test_direct_light_of_lamps(name: str, light: s.Records, expected: object, x:
     assert abs(value - wanted) < 5 * error + 1.5e-3 * wanted
 
 
-@pytest.mark.parametrize("strategy", [path_kernel.BOTH, path_kernel.LIGHT_ONLY, path_kernel.BSDF_ONLY])
+@pytest.mark.parametrize("strategy", [path_state.BOTH, path_state.LIGHT_ONLY, path_state.BSDF_ONLY])
 def test_direct_light_of_an_emissive_square(strategy: int) -> None:
     """Also scaled unevenly: the density uses the world-space area."""
     for transform, x in ((scenes.placed((0, 0, 2)), 0.8), (scenes.placed((0, 0, 2), (1.0, -1.0, -3.0)), 0.3)):
@@ -230,7 +230,7 @@ def test_feedback_of_shadow_rays() -> None:
     blocker, emitter = 1, 2
     scene = floor(None, 0.0, [(0, scenes.placed((0, 0, 1), 0.3), 0), (0, scenes.placed((0, 0, 2)), 1)])
     feedback = Feedback.zeros(3)
-    render(scene, 4, np.array([True, True, False]), feedback=feedback, strategy=path_kernel.LIGHT_ONLY)
+    render(scene, 4, np.array([True, True, False]), feedback=feedback, strategy=path_state.LIGHT_ONLY)
     assert feedback.hits[blocker, s.RayType.SHADOW] > 1000 and feedback.hits[emitter, s.RayType.SHADOW] > 1000
     paths = 32 * 32 * 4
     assert feedback.hits[:, s.RayType.SHADOW].sum() == paths  # each light sample either arrives or is blocked

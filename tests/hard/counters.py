@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lipac.core import path_kernel
+from lipac.core import path_state
 from lipac.core.analysis import reaches
 from lipac.core.blas import BlasCache
 from lipac.core.feedback import TILES, Feedback, Weights
@@ -27,7 +27,7 @@ def counted(start: int, threads: int = 2, first: tuple[int, ...] = (0,), samples
     blas.need(scene.instances.mesh)
     tlas = Tlas(scene.instances, blas, np.arange(len(scene.instances)) < 8)
     boxes = Hitboxes(scene.instances.bounds[8:])
-    feedback = Feedback.zeros(len(scene.instances), boxes, Weights.zeros(len(scene.instances), tlas.ids, 0.5))
+    feedback = Feedback.zeros(len(scene.instances), boxes, Weights.zeros(len(tlas), 0.5))
     assert feedback.weights is not None
     for array in (feedback.hits, feedback.boxes, feedback.weights.light, feedback.weights.total):
         np.add(array, start, out=array)
@@ -74,9 +74,9 @@ def overflowing_weights() -> Figure:
     blas = BlasCache(scene.meshes)
     blas.need(scene.instances.mesh)
     tlas = Tlas(scene.instances, blas, np.ones(len(scene.instances), bool))
-    weights = Weights.zeros(len(scene.instances), tlas.ids, 1e-30)
+    weights = Weights.zeros(len(tlas), 1e-30)
     feedback = Feedback.zeros(len(scene.instances), None, weights)
-    trace(prepare(scene, blas), tlas, 16, feedback=feedback, strategy=path_kernel.BOTH)
+    trace(prepare(scene, blas), tlas, 16, feedback=feedback, strategy=path_state.BOTH)
     relative = weights.relative()
     assert relative.shape == (len(tlas), TILES)
     bad = (weights.light < 0).sum() + (weights.total < 0).sum() + (~np.isfinite(relative)).sum() + (weights.total == 0).all()

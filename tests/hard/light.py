@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lipac.core import path_kernel
+from lipac.core import path_state
 from lipac.core import scene as s
 from lipac.core.analysis import analyze
 from lipac.core.culling import CullOptions
@@ -51,7 +51,7 @@ def bright_and_dim_together() -> Figure:
     pictures = []
     for lights in (strong, weak, np.concatenate([strong, weak])):
         scene = scenes.build([scenes.quad()], [(0, scenes.placed((0, 0, 0), 4.0), 0)], [material()], camera, lights, (0, 0, 0), (64, 36))
-        pictures.append(render(scene, 256, strategy=path_kernel.BOTH).mean[..., 0].astype(np.float64).mean())
+        pictures.append(render(scene, 256, strategy=path_state.BOTH).mean[..., 0].astype(np.float64).mean())
     return Figure(
         "lamps of 10^12 W and 10^-12 W, 10^5 m and 10^-6 m away", "mean against the sum of both alone", abs(pictures[2] / (pictures[0] + pictures[1]) - 1), 0.05
     )
@@ -109,7 +109,7 @@ def emitters_do_not_shadow_themselves() -> Iterator[Figure]:
                 glow = material(s.Shader.EMISSION, emission=np.pi)
                 placement = [(0, emitter, 1), (0, ground, 0)]
                 scene = scenes.build([scenes.quad()], placement, [material(base_color=1.0), glow], camera, None, (0, 0, 0), (32, 32), s.PathLimits(total=0))
-                x = render(scene, 16, strategy=path_kernel.LIGHT_ONLY).mean[..., 0].astype(np.float64)
+                x = render(scene, 16, strategy=path_state.LIGHT_ONLY).mean[..., 0].astype(np.float64)
                 wanted = 1e-4 * np.cos(angle)
                 where = "at the origin" if at_emitter else "far from it"
                 what = f"emissive square {where}, {distance:g} m away, tilted by {degrees:g} degrees"
@@ -199,13 +199,13 @@ def fireflies() -> Iterator[Figure]:
     scene = still_life()
     lights = lamp(s.LightKind.SUN, power=1e6, angle=1e-3)
     scene = dataclasses.replace(scene, lights=lights)
-    picture = render(scene, 16, strategy=path_kernel.BSDF_ONLY)
+    picture = render(scene, 16, strategy=path_state.BSDF_ONLY)
     yield Figure("a sun of 10^6 W/m2 and 1e-3 rad met by chance alone", "pixels that are not finite", float((~np.isfinite(picture.mean)).mean()), 0.0)
     result = analyze(scene, CullOptions(width=SIZE[0]))
     bad = float((~np.isfinite(result.score)).sum() + (result.score < 0).sum())
     yield Figure("the same, culled by light paths", "scores that are negative or not finite", bad, 0.0)
     limits = dataclasses.replace(scene.limits, clamp_direct=1.0, clamp_indirect=1.0)
-    clamped = render(dataclasses.replace(scene, limits=limits), 1, strategy=path_kernel.BSDF_ONLY).mean[..., :3]
+    clamped = render(dataclasses.replace(scene, limits=limits), 1, strategy=path_state.BSDF_ONLY).mean[..., :3]
     bounces = 13  # contributions of one path at most, each clamped to three times the clamp over its channels
     yield Figure("the same, clamped to 1", "brightest channel over what the clamp allows", float(clamped.max()) / (3 * bounces), 1.0)
 
