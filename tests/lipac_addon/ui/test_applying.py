@@ -6,7 +6,7 @@ import pytest
 
 from lipac.lipac_addon.ui import applying, job, results
 from lipac.lipac_addon.ui.job import AnalysisJob
-from tests.lipac_addon.writeback.conftest import Census, link, points, scatter, triangle
+from lipac.tests.lipac_addon.writeback.conftest import Census, link, points, scatter, triangle
 
 FAR = {"box4", "box5", "box6", "box7"}
 

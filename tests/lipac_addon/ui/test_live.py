@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lipac.lipac_addon.ui import job, live, overlay, props, results
-from tests.lipac_addon.writeback.conftest import link, points, scatter, triangle
+from lipac.tests.lipac_addon.writeback.conftest import link, points, scatter, triangle
 
 FAR = {"box4", "box5", "box6", "box7"}
 

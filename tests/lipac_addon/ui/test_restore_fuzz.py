@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from lipac.lipac_addon.ui import props
-from tests.lipac_addon.writeback.conftest import collection, custom, empty, link, plain, points, scatter, triangle
+from lipac.tests.lipac_addon.writeback.conftest import collection, custom, empty, link, plain, points, scatter, triangle
 
 SEQUENCES = 200
 STEPS = 10
