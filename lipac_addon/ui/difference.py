@@ -37,7 +37,7 @@ class Difference:
 
 
 class DifferenceJob:
-    """Measures the difference that the result of a scene's current frame makes. progress, message, error as of `AnalysisJob`."""
+    """Measures the difference that the result of a scene's current frame makes. progress, message, error, compiled as of `AnalysisJob`."""
 
     def __init__(self, scene: bpy.types.Scene) -> None:
         """Raises InputError where the frame was not analysed."""
@@ -47,6 +47,7 @@ class DifferenceJob:
         self.progress, self.message, self.error = 0.0, "saving copies of the file", ""
         self.difference: Difference | None = None
         self.done = self.cancelled = False
+        self.compiled = 0
         self._uid, self._result = scene.session_uid, result
         self._steps = self._run()
 

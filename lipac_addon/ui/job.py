@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import bpy
 
 from ...core.errors import Cancelled, InputError
-from . import applying, props, results, scatters
+from . import applying, preferences, props, results, scatters
 from .background import AskedMeshes, in_thread
 from .wheels import REINSTALL
 
@@ -25,10 +25,14 @@ if TYPE_CHECKING:
 J = TypeVar("J", bound="AnalysisJob | DifferenceJob")
 
 
+LOOK = 0.5  # seconds between looks at how many kernels are compiled
+
+
 class AnalysisJob:
     """The analysis of some frames of a scene.
 
     progress: 0 to 1; message: what is being done; error: why it ended without a result, "" where it did not; results: by frame, in the end.
+    compiled: kernels that were compiled meanwhile, which takes a minute, once.
     """
 
     def __init__(self, scene: bpy.types.Scene, frames: Sequence[int] | None = None, bake: bool = False) -> None:
@@ -36,6 +40,7 @@ class AnalysisJob:
         self.progress, self.message, self.error = 0.0, "starting", ""
         self.results: dict[int, results.FrameResult] = {}
         self.done = self.cancelled = self.was_applied = False
+        self.compiled, self._kernels, self._looked = 0, preferences.compiled_kernels(), time.monotonic()
         self.baked: tuple[int, int] | None = None  # instances that some frame needs, and of all
         self._bake = bake
         self._uid = scene.session_uid
@@ -48,6 +53,8 @@ class AnalysisJob:
         """Do a little on the main thread; False when all is done, failed or cancelled."""
         if self.done:
             return False
+        if time.monotonic() - self._looked > LOOK:
+            self.compiled, self._looked = preferences.compiled_kernels() - self._kernels, time.monotonic()
         try:
             next(self._steps)
         except StopIteration:

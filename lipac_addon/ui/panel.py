@@ -167,6 +167,8 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
             column = layout.column(align=True)
             for line in lines(job.running.message):
                 column.label(text=line)
+            if job.running.compiled:
+                column.label(text=f"Compiling, once: {job.running.compiled} kernels so far")
         else:
             row = layout.row(align=True)
             row.operator(LIPAC_OT_analyze.bl_idname, icon="LIGHT_SUN")

@@ -111,6 +111,11 @@ def cache_bytes() -> int:
     return sum(path.stat().st_size for folder in _cached() for path in folder.rglob("*") if path.is_file())
 
 
+def compiled_kernels() -> int:
+    """How many kernels have been compiled and kept."""
+    return sum(1 for folder in _cached() for _ in folder.rglob("*.nbi"))
+
+
 def _use_cache() -> None:
     """Have the engine keep compiled kernels in the folder that the preferences name, an installed extension in its own one; before `core` is imported."""
     global _given  # noqa: PLW0603

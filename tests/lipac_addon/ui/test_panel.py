@@ -54,6 +54,21 @@ def test_progress_and_error(scene, drawn):
     assert "cancelled" in drawn(panel.LIPAC_PT_main)
 
 
+def test_the_first_compilation_shows_that_it_goes_on(scene, drawn, monkeypatch, tmp_path):
+    monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(job, "LOOK", 0.0)
+    running = job.start(lambda: job.AnalysisJob(scene))
+    running.step()
+    assert "Compiling" not in drawn(panel.LIPAC_PT_main)
+    folder = tmp_path / "kernels-3" / "core"
+    folder.mkdir(parents=True)
+    for k in range(3):
+        (folder / f"{k}.nbi").touch()
+    running.step()
+    assert "3 kernels so far" in drawn(panel.LIPAC_PT_main)
+    running.run()
+
+
 def test_no_active_object_and_no_camera(scene, drawn):
     bpy.context.view_layer.objects.active = None
     scene.camera = None
