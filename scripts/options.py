@@ -60,6 +60,8 @@ def scene_parser(command: str, description: str) -> Parser:
     shot.add_argument("--no-mitigation", action="store_true", help="with --warm: do not activate what comes into view before light paths ask for it")
     shot.add_argument("--blas-budget", type=byte_count, metavar="SIZE", help="acceleration structures of meshes may take so much, for example 2G")
     general = parser.add_argument_group("general")
+    crops = "measure the error too: so many of 12 parts of the picture, picked at random, are rendered full and culled by the engine (default: 2)"
+    general.add_argument("--verify", type=crop_count, nargs="?", const=2, default=0, metavar="N", help=crops)
     general.add_argument("--seed", type=int, default=0, metavar="S", help="of all random numbers (default: 0)")
     general.add_argument("--threads", type=int, default=0, metavar="N", help="0: all cores (default)")
     general.add_argument("--quiet", action="store_true", help="no progress")
@@ -101,6 +103,13 @@ def count(text: str) -> int:
     return int(text)
 
 
+def crop_count(text: str) -> int:
+    """A number of crops. Raises ArgumentTypeError."""
+    if not text.isdecimal() or not 1 <= int(text) <= 12:
+        raise argparse.ArgumentTypeError(f"'{text}' is no number of parts of a picture: give 1 to 12")
+    return int(text)
+
+
 def byte_count(text: str) -> int:
     """Bytes of '2G', '500M', '64k' or '1000000': powers of 1000, or of 1024 with an i, as in '2Gi'. Raises ArgumentTypeError."""
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?", text.strip().lower())
@@ -120,7 +129,7 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
         yield terminal
 
 
-PATIENCE = 0.7  # seconds that work may take to notice Ctrl-C
+PATIENCE = 0.5  # seconds that work may take to notice Ctrl-C
 
 
 @contextmanager
@@ -204,6 +213,8 @@ def check(args: argparse.Namespace) -> None:
         raise InputError("--shot is for --bake shot without --warm: other frames decide by themselves, or by all before them")
     if args.shot is not None and not (args.frames and set(args.frames) <= set(args.shot)):
         raise InputError("--shot goes with --frames that are a part of it")
+    if args.verify and (args.bake == "shot" or getattr(args, "engine", "") == "hybrid"):
+        raise InputError("--verify is for --bake frame, and for the engines cycles, eevee and path")
     if args.scene is not None and not args.scene.exists():
         raise InputError(f"no such file: {args.scene}")
     cull_options(args)
@@ -215,18 +226,17 @@ def do_frames(
 ) -> Report:
     """What `analyze` and `render` share: check, open, work through the frames, and print the table. hybrid: fields of `HybridOptions`; save: as in `Job`."""
     check(args)
-    from ..lipac_addon.console import muted
-
-    with muted():
-        import bpy
-
-    from ..lipac_addon.baked import check_target
-    from ..lipac_addon.hybrid import HybridOptions
-    from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
-    from ..lipac_addon.pipeline import Job, run
-
-    with progress_of(args.quiet) as progress, ctrl_c() as cancelled:
+    with progress_of(args.quiet) as progress, ctrl_c() as cancelled:  # Blender, too, for it swallows exceptions while it starts, and goes on half started
         progress(0.0, "opening the scene")
+        from ..lipac_addon.console import muted
+
+        with muted():
+            import bpy
+        from ..lipac_addon.baked import check_target
+        from ..lipac_addon.hybrid import HybridOptions
+        from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
+        from ..lipac_addon.pipeline import Job, run
+
         if args.scene is not None:
             open_scene(args.scene)
         if save is not None:
@@ -240,7 +250,7 @@ def do_frames(
         if scene.camera is None:
             raise InputError(f"scene '{scene.name}' has no camera: add one and make it active, or use --camera {AUTO} to frame everything")
         frames, mixed = args.frames or (scene.frame_current,), HybridOptions(**(hybrid or {}))
-        more = (mixed, args.bake, save, args.resume, args.warm, args.shot or ())
+        more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify)
         job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more)
         report = new_report(args, job)
         if args.resume and (others := report.other_options(args.output)):

@@ -171,6 +171,31 @@ sys.exit(lipac.main(sys.argv[1:]))
 """
 
 
+STARTING = """
+import os, signal, sys
+class Note:
+    def find_spec(self, name, *_):
+        if name == "cycles":  # Blender's add-on, which it loads while it starts
+            sys.meta_path.remove(self)
+            os.write(stdout, b"starting\\n")
+            os.kill(os.getpid(), signal.SIGINT)
+stdout = os.dup(1)
+sys.meta_path.insert(0, Note())
+from lipac.scripts.lipac import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@POSIX
+def test_ctrl_c_while_blender_starts(blend, tmp_path):
+    """It is not lost, and does not leave a Blender without Cycles to go on with."""
+    arguments = ["analyze", str(blend), "-o", str(tmp_path), "--frames", "1-3", *SMALL[2:]]
+    done = subprocess.run([sys.executable, "-c", STARTING, *arguments], capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout == "starting\n"
+    assert done.returncode == 130
+    assert done.stderr.endswith(": stopped; finished frames and their report are kept\n")
+
+
 @POSIX
 @pytest.mark.parametrize("work", ["ctypes.CDLL(None).sleep(300)", "__import__('time').sleep(0.01) or [0 for _ in iter(int, 1)]"], ids=["in C", "in Python"])
 def test_ctrl_c_in_work_that_looks_at_nothing(blend, tmp_path, work):
