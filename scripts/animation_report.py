@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import statistics
+import textwrap
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,8 +40,14 @@ def write(folder: Path, results: dict[str, Part]) -> str:
     head = ["# Animation", f"Written by `lipac bench --only animation` (`make animation`) on {machines}. Seconds are of a machine that had other work to do, "]
     head[1] += "so each table compares what took turns in one run."
     with replacing(folder / "animation.md") as path:
-        path.write_text("\n\n".join([*head, *_demos(folder, results), markdown(rows), *sections]) + "\n")
+        path.write_text(_wrapped("\n\n".join([*head, *_demos(folder, results), markdown(rows), *sections])) + "\n")
     return markdown(rows)
+
+
+def _wrapped(page: str) -> str:
+    """A page whose paragraphs are broken into lines."""
+    blocks = page.split("\n\n")
+    return "\n\n".join(b if b.startswith(("#", "|", "!")) else textwrap.fill(b, 150, break_long_words=False, break_on_hyphens=False) for b in blocks)
 
 
 def _demos(folder: Path, results: dict[str, Part]) -> list[str]:
