@@ -19,7 +19,7 @@ from .scene import F32, F64, I32
 from .tiles import DARK, TILES, tiles_of
 
 TRIALS = 20  # of selections, at most
-PATIENCE = 6  # trials since one was the best so far, after which no better one is expected
+PATIENCE = 6  # trials since the last that was the best so far, after which no better one is expected
 WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
 CONFIDENCE = 2.0  # standard deviations of its measurement that are added to the change of a tile
 AIM = 0.95  # of the budget: what the next selection is to use up
@@ -138,7 +138,7 @@ class Search:
             return settled
         best = self._try(self._select(0.0, np.zeros(TILES), set())) or self._keep_all()
         aim, mean, tiles = AIM, self.budget.mean, np.full(TILES, self.budget.worst)
-        tried, last = {best.cull.tobytes()}, 0
+        tried, last = {best.cull.tobytes()}, TRIALS
         for k in range(TRIALS):
             progress(k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
             if best.cull.all() or k - last > PATIENCE:

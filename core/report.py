@@ -182,7 +182,18 @@ class Report:
         totals = self.totals()
         last = f"{sum(totals[name] for name in SECONDS):.1f} s in all, of which {totals['render_s']:.1f} s rendering"
         peak = f"; peak memory {size(totals['peak_bytes'])}" if totals["peak_bytes"] else ""
-        return "\n".join([*_aligned([head, *rows]), last + peak])
+        return "\n".join([*_aligned([head, *rows]), *self._error(), last + peak])
+
+    def _error(self) -> list[str]:
+        """How far the pictures may have changed, as the analysis found, and as --verify measured."""
+        out = []
+        measured = f"the same in crops, rendered by {self.engine or 'path'}"
+        for kind, text in (("calibrated", "the picture changes, as the analysis found"), ("verified", measured)):
+            found = [f for f in self.frames if f"{kind}_mean" in f]
+            if found:
+                mean, worst = (max(f[f"{kind}_{what}"] for f in found) for what in ("mean", "worst"))
+                out.append(f"{text}: {100 * mean:.2g} % in the mean, {100 * worst:.2g} % in the worst tile" + (" (of all frames)" if len(found) > 1 else ""))
+        return out
 
 
 @dataclass(frozen=True)

@@ -35,14 +35,23 @@ def samples_of(scene: bpy.types.Scene, engine: str) -> int:
     return min(scene.cycles.samples, HYBRID_SAMPLES) if engine == "hybrid" else int(scene.cycles.samples)
 
 
-def render_blender(engine: str, stem: Path, samples: int | None = None, seed: int = 0, threads: int = 0, progress: Progress = silent) -> float:
+def render_blender(
+    engine: str,
+    stem: Path,
+    samples: int | None = None,
+    seed: int = 0,
+    threads: int = 0,
+    progress: Progress = silent,
+    border: tuple[float, float, float, float] | None = None,
+) -> float:
     """Render the current frame of the open file by 'cycles' (on the CPU) or 'eevee', save stem.exr and stem.png, and return the seconds of the render alone.
 
-    samples: per pixel, None as in the scene. seed: Cycles' noise; EEVEE has none. threads: 0 for all. All else is as the scene says; its settings are put back.
+    samples: per pixel, None as in the scene. seed: Cycles' noise; EEVEE has none. threads: 0 for all. border: left, bottom, right, top of the part of the
+    picture that is wanted, 0 to 1 (default: all). All else is as the scene says; its settings are put back.
     Raises InputError where Blender cannot render. Ctrl-C during the render ends the process at once, for Blender cannot be asked to stop.
     """
     scene = bpy.context.scene
-    with _render_settings(scene, engine, samples, seed, threads), _no_file_outputs(), _stats(progress):
+    with _render_settings(scene, engine, samples, seed, threads, border), _no_file_outputs(), _stats(progress):
         start = time.perf_counter()
         try:
             with muted(), _ctrl_c_ends_the_process():
@@ -90,11 +99,16 @@ def render_path(
 
 
 @contextmanager
-def _render_settings(scene: bpy.types.Scene, engine: str, samples: int | None, seed: int, threads: int) -> Iterator[None]:
+def _render_settings(
+    scene: bpy.types.Scene, engine: str, samples: int | None, seed: int, threads: int, border: tuple[float, float, float, float] | None
+) -> Iterator[None]:
     render = scene.render
     with ExitStack() as stack:
         plain = {"use_border": False, "use_sequencer": False, "use_multiview": False, "use_persistent_data": False}
         stack.enter_context(changed(render, engine=BLENDER_ENGINES[engine], **plain))
+        if border is not None:
+            sides = dict(zip(("border_min_x", "border_min_y", "border_max_x", "border_max_y"), border, strict=True))
+            stack.enter_context(changed(render, use_border=True, use_crop_to_border=True, **sides))
         if threads:
             stack.enter_context(changed(render, threads_mode="FIXED", threads=threads))
         if engine == "eevee":

@@ -55,7 +55,8 @@ class Job:
     hybrid: for the engine of that name. bake: FRAME, each frame by itself, or SHOT, in all frames what any of them needs. save: where to save the .blend with
     the set of the shot baked in. resume: leave frames alone that the folder has already. warm: a frame begins with what the one before it needed, and keeps
     what that kept as long as it is worth something (hysteresis); else frames decide by themselves, and ranges can be split. shot: the frames that a set is for,
-    where `frames` are a part of them; other processes may do other parts into the same folder.
+    where `frames` are a part of them; other processes may do other parts into the same folder. verify: how many crops to render full as well, to state
+    the error that was measured (`verify`).
     """
 
     folder: Path
@@ -71,6 +72,7 @@ class Job:
     resume: bool = False
     warm: bool = False
     shot: tuple[int, ...] = ()
+    verify: int = 0
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""
@@ -208,8 +210,11 @@ def run_frame(session: Session, frame: int, report: Report, progress: Progress =
     boxes = result.boxes + extraction.scene.origin
     save_states(job.states(frame), result.state, result.score, result.hits, keys.records, keys.names, boxes=boxes)
     rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
+    if not job.engine:
+        entry |= _verified(job, extraction.scene, result.active, rest, cancelled)
     if job.engine == "path":
         entry["render_s"] = render_path(extraction.scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled)
+        entry |= _verified(job, extraction.scene, result.active, rest, cancelled)
     elif job.engine in BLENDER_ENGINES:
         warnings = (*warnings, *write_back(np.asarray(result.state == State.CULLED), keys, entry))
         del extraction, result, keys
@@ -217,7 +222,19 @@ def run_frame(session: Session, frame: int, report: Report, progress: Progress =
             session.close()  # the render needs the memory
         gc.collect()
         entry["render_s"] = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, rest)
+        entry |= _verified(job, None, None, rest, cancelled)
     report.add_frame(entry, approximated, warnings)
+
+
+def _verified(job: Job, scene: Scene | None, active: np.ndarray | None, progress: Progress, cancelled: Cancel) -> dict[str, object]:
+    """What the frame's entry says of the error that was measured, where the job asks for that. scene, active: for an engine of ours."""
+    if not job.verify:
+        return {}
+    from .verify import verified_blender, verified_path
+
+    if scene is None or active is None:
+        return verified_blender(job.engine, job.samples, job.seed, job.threads, job.verify, progress).entry()
+    return verified_path(scene, active, job.samples or samples_of(bpy.context.scene, "path"), job.seed, job.threads, job.verify, cancelled).entry()
 
 
 def _hybrid(

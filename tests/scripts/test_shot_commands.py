@@ -122,6 +122,8 @@ BAD = [
     (["--bake", "x"], "invalid choice"),
     (["--blas-budget", "much"], "is no size"),
     (["--no-mitigation"], "--warm"),
+    (["--verify", "13"], "1 to 12"),
+    (["--verify", "2", "--bake", "shot"], "--bake frame"),
     (["--shot", "1-4"], "--bake shot"),
     (["--shot", "1-4", "--bake", "shot"], "--frames"),
     (["--shot", "1-4", "--bake", "shot", "--frames", "4-5"], "a part of it"),

@@ -1,0 +1,54 @@
+"""The error that --verify states is that of the two pictures, by whichever engine, and the file is left as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from lipac.core.culling import CullOptions
+from lipac.core.judge import picture_change
+from lipac.core.report import Report
+from lipac.lipac_addon.pictures import read_picture
+from lipac.lipac_addon.pipeline import Job, run
+from lipac.lipac_addon.verify import GRID, random_crops
+
+NEAR = CullOptions(policy="distance", distance=13.2)  # culls boxes that the camera sees
+ALL = GRID[0] * GRID[1]
+
+
+@pytest.mark.parametrize("engine", ["cycles", "path"])
+def test_all_crops_measure_what_the_whole_pictures_show(boxes: Any, tmp_path: Path, engine: str) -> None:
+    """Tolerance: crops and pictures need not share their noise; of 16 samples, it is a tenth of the change at most."""
+    frames = {}
+    for name, options, verify in (("full", CullOptions(policy="none"), 0), ("culled", NEAR, ALL)):
+        report = Report("boxes", "", "", options.policy, engine, 0, 1)
+        run(Job(tmp_path / name, (1,), options, engine, samples=16, verify=verify), report)
+        frames[name] = report.frames[0]
+    culled = frames["culled"]
+    assert 0 < culled["active"] < 10
+    mean, worst = picture_change(*(read_picture(tmp_path / name / "frame_0001.exr") for name in ("full", "culled")))
+    assert mean > 0.01
+    assert culled["verified_mean"] == pytest.approx(mean, rel=0.1)
+    assert culled["verified_worst"] == pytest.approx(worst, rel=0.1)
+    assert len(culled["verified_crops"]) == ALL
+    assert "verified_mean" not in frames["full"]
+    assert not any(ob.hide_render for ob in bpy.data.objects) and not bpy.context.scene.render.use_border
+
+
+def test_nothing_culled_measures_as_nothing(boxes: Any, tmp_path: Path) -> None:
+    report = Report("boxes", "", "", "distance", "cycles", 0, 1)
+    run(Job(tmp_path, (1,), CullOptions(policy="distance", distance=1e6), "cycles", samples=1, verify=1), report)
+    assert (report.frames[0]["verified_mean"], report.frames[0]["verified_worst"]) == (0.0, 0.0)
+    assert "the same in crops, rendered by cycles: 0 % in the mean" in report.table()
+
+
+def test_crops_differ_from_each_other_and_by_seed() -> None:
+    assert len(set(random_crops(ALL, 0))) == ALL
+    picks = {random_crops(2, seed) for seed in range(20)}
+    assert len(picks) > 10
+    assert all(0 <= x < GRID[0] and 0 <= y < GRID[1] for pick in picks for x, y in pick)
+    assert np.array_equal(random_crops(3, 7), random_crops(3, 7))
