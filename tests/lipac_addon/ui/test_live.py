@@ -325,16 +325,17 @@ def test_while_culling_is_applied_it_waits(watched, analyzed):
 
 def test_quitting_in_the_midst_of_a_round(boxes_file):
     code = f"""
-import bpy, lipac
+import bpy, lipac, time
 lipac.register()
 bpy.ops.wm.open_mainfile(filepath={str(boxes_file)!r})
 from lipac.lipac_addon.ui import live
 live.start()
 while live.current is None or live.current.rounds < 2:
     live.tick()
+    time.sleep(0.002)
 bpy.context.scene.lipac.width = 640
 while live.current._steps.gi_yieldfrom is None:
     live.tick()
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=600)
     assert (done.returncode, done.stderr.count("Error: ") <= 1) == (0, True), done.stderr
