@@ -317,6 +317,43 @@ print("SECONDS", time.perf_counter() - start)
 """
 
 
+def feedback(_folder: Path) -> dict[str, Any]:
+    """Seconds to trace the paths of a measurement of mirror-city with default options: bare; with hits, weights and path logs; and to decide by them.
+
+    Deciding: relative weights, the selection, states and hysteresis; not the trials, which trace again.
+    """
+    from ..core.budget import Savings, select
+    from ..core.calibration import Base
+    from ..core.culling import CullOptions
+    from ..core.loop import Loop
+    from ..core.tracer import trace
+
+    loop = Loop(_city(20_000), CullOptions())
+    loop.run()
+    tlas = loop.build(loop.active)
+    measured = loop.measure(tlas)
+    budget, mesh = loop.options.max_error, loop.scene.instances.mesh[tlas.ids]
+
+    def timed(job: Callable[[], object]) -> Callable[[], float]:
+        def run() -> float:
+            start = time.perf_counter()
+            job()
+            return time.perf_counter() - start
+
+        return run
+
+    def decide() -> None:
+        Base(measured.log)
+        selection = select(measured.weights.relative(), Savings.among(mesh, loop.blas.bytes_of).share, budget.mean, budget.worst)
+        keep = np.zeros(len(loop.active), bool)
+        keep[tlas.ids[~selection.cull]] = True
+        loop.result(keep, np.zeros(len(keep), np.float32), measured.feedback.hits)
+
+    bare = timed(lambda: trace(loop.prepared, tlas, loop.samples, size=loop.size))
+    seconds = interleaved({"bare": bare, "measured": timed(lambda: loop.measure(tlas)), "deciding": timed(decide)}, 9)
+    return {"seconds": seconds, "paths": int(measured.feedback.paths), "instances": len(loop.active), "active": len(tlas)}
+
+
 def compiling(folder: Path) -> dict[str, Any]:
     """Seconds from the file being open to the end of an analysis of a few pixels: with no kernel compiled, and with all of them cached."""
     from .compare import lipac
