@@ -20,7 +20,7 @@ from ..core.errors import Cancelled, InputError
 from ..core.progress import Progress, part, silent
 from ..core.scene import F32, RayType, Scene
 from .console import muted
-from .pictures import save_pixels
+from .pictures import save_pixels, save_render_result
 from .raster import opengl
 from .raster.denoise import denoise
 from .raster.first_hits import FirstHits
@@ -107,7 +107,9 @@ def render_hybrid(
         if own is not None:
             return result, _save_raster(own, stem, line)
     with line.stage("saving"):
-        _save(picture, layers, stem)
+        with muted():
+            save_pixels(picture, bpy.context.scene, stem)
+        _save_layers(layers, stem)
     return result, _figures(line, sum(p.rays for p in tracing.pictures))
 
 
@@ -136,15 +138,15 @@ def _nearer_raster(scene: Scene, picture: F32, options: HybridOptions, cull: Cul
 
 
 def _save_raster(passes: Passes, stem: Path, line: Timeline) -> dict[str, Any]:
-    """Save EEVEE's picture as the frame's; returns the figures for the report."""
+    """Save EEVEE's picture, rendered last, as the frame's; returns the figures for the report."""
     with line.stage("saving"):
-        _save(passes.combined, {"Combined": passes.combined} | _raster_layers(passes), stem)
+        with muted():
+            save_render_result(bpy.context.scene, stem)  # displayed bit for bit as EEVEE's own
+        _save_layers({"Combined": passes.combined} | _raster_layers(passes), stem)
     return {**_figures(line, 0), "raster_only": True}
 
 
-def _save(picture: F32, layers: dict[str, F32], stem: Path) -> None:
-    with muted():
-        save_pixels(picture, bpy.context.scene, stem)
+def _save_layers(layers: dict[str, F32], stem: Path) -> None:
     save_layers(stem.with_name(f"{stem.name}_layers.exr"), layers)
 
 

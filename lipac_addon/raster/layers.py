@@ -26,3 +26,14 @@ def save_layers(path: Path, passes: Mapping[str, F32]) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "BlenderMultiChannel": "Blender V2.55.1 and newer"}
     with replacing(path) as part:
         OpenEXR.File(header, channels).write(str(part))
+
+
+def read_layers(path: Path) -> dict[str, F32]:
+    """The passes that `save_layers` wrote, by name: (H, W) or (H, W, 3 or 4) float32, rows bottom up."""
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {name.partition(".")[2]: channel.pixels[::-1] for name, channel in file.channels().items()}
+    names = {name.rpartition(".")[0] for name in channels}
+    planes = {name: [channels[f"{name}.{letter}"] for letter in "VRGBA" if f"{name}.{letter}" in channels] for name in names}
+    return {name: np.stack(p, axis=2) if len(p) > 1 else p[0] for name, p in planes.items()}
