@@ -422,11 +422,11 @@ class Loop:
 
     def _light_up(self, cut: Cut, feedback: Feedback) -> None:
         """Activate every emitter that lit a path, or whose box one crossed: few paths may carry much of a tile's light."""
-        lit = feedback.hits.any(axis=1)
-        leaves = cut.level == 0
-        lit[self.regions.order[cut.index[leaves]]] |= feedback.boxes[leaves].any(axis=1)
         emissive = self.prepared.emissive
-        self.active[emissive[lit[emissive]]] = True
+        if len(emissive):
+            crossed = np.flatnonzero((cut.level == 0) & feedback.boxes.any(axis=1))
+            lit = feedback.hits[emissive].any(axis=1) | np.isin(emissive, self.regions.order[cut.index[crossed]])
+            self.active[emissive[lit]] = True
 
     def result(self, keep: np.ndarray, score: F32, hits: I64, **figures: float | int) -> CullingResult:
         """States for keep (N,) bool, with the final structures built and counted; figures go into the stats. What the next frame need not have is freed."""

@@ -149,9 +149,13 @@ class Session:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def forget(self) -> None:
+        """Let go of the loop, and what it has built."""
+        self._shot = None
+
     def close(self) -> None:
         """Let go of everything, in Blender too."""
-        self._shot = None
+        self.forget()
         with muted():
             self._extractor.release()
         self._extractor = Extractor(bpy.context.scene)
@@ -206,6 +210,8 @@ def run_frame(session: Session, frame: int, report: Report, progress: Progress =
         result = session.decide(extraction, None, part(progress, 0.0, ANALYSIS_SHARE if job.engine else 1.0), cancelled)
         check(cancelled)
         entry |= result.stats
+    if last:
+        session.forget()
     keys = extraction.keys
     boxes = result.boxes + extraction.scene.origin
     save_states(job.states(frame), result.state, result.score, result.hits, keys.records, keys.names, boxes=boxes)
