@@ -6,8 +6,6 @@ already.
 """
 
 import tempfile
-from collections.abc import Callable
-from typing import Any
 
 import bpy
 import numpy as np
@@ -19,7 +17,6 @@ from lipac.tests.lipac_addon.writeback.conftest import collection, custom, empty
 SEQUENCES = 200
 STEPS = 10
 RENDERS = 0.03  # of our steps
-Note = Callable[[], Any]
 
 
 def build() -> None:
@@ -280,7 +277,7 @@ def test_as_the_user_left_it(start, block):
     for seed in range(block * SEQUENCES // 10, (block + 1) * SEQUENCES // 10):
         rng = np.random.default_rng(seed)
         start()
-        notes: list[tuple[str, Note]] = []
+        notes = []
         for _ in range(STEPS):
             if rng.integers(2):
                 ours(rng)
