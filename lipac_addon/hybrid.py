@@ -20,7 +20,7 @@ from ..core.errors import Cancelled, InputError
 from ..core.progress import Progress, part, silent
 from ..core.scene import F32, RayType, Scene
 from .console import muted
-from .pictures import save_pixels, save_render_result
+from .pictures import save_pixels
 from .raster import opengl
 from .raster.denoise import denoise
 from .raster.first_hits import FirstHits
@@ -103,9 +103,9 @@ def render_hybrid(
         picture = _combine(tracing.light(), passes, options.denoise, threads, layers)
     if raster and hybrid.in_question(result):
         with line.stage("comparison"):
-            own = _nearer_raster(scene, picture, options, cull, cancelled)
+            own = _nearer_raster(scene, picture, options, cull, stem, cancelled)
         if own is not None:
-            return result, _save_raster(own, stem, line)
+            return result, _shown_by_raster(own, stem, line)
     with line.stage("saving"):
         with muted():
             save_pixels(picture, bpy.context.scene, stem)
@@ -122,27 +122,26 @@ def _without_paths(scene: Scene, options: HybridOptions, cull: CullOptions, stem
     opengl.require()
     n = len(scene.instances)
     with line.stage("EEVEE"):
-        passes = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False)
+        passes = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False, save=stem)
     result = Loop(scene, cull).result(np.zeros(n, bool), np.zeros(n, np.float32), np.zeros((n, len(RayType)), np.int64))
-    return result, _save_raster(passes, stem, line)
+    return result, _shown_by_raster(passes, stem, line)
 
 
-def _nearer_raster(scene: Scene, picture: F32, options: HybridOptions, cull: CullOptions, cancelled: Callable[[], bool]) -> Passes | None:
-    """EEVEE's passes with all its own light, where its picture is nearer to what paths show with nothing culled than `picture` is; else None."""
+def _nearer_raster(
+    scene: Scene, picture: F32, options: HybridOptions, cull: CullOptions, stem: Path, cancelled: Callable[[], bool]
+) -> Passes | None:
+    """EEVEE's passes with all its own light, where its picture, saved as stem, is nearer to what paths show with nothing culled than picture is; else None."""
     from ..core import hybrid
 
     with ThreadPoolExecutor(1) as worker:
         truth = worker.submit(hybrid.reference, scene, cull, cancelled)
-        own = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False)
+        own = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False, save=stem)
     return None if hybrid.is_nearer(truth.result(), picture, own.combined) else own
 
 
-def _save_raster(passes: Passes, stem: Path, line: Timeline) -> dict[str, Any]:
-    """Save EEVEE's picture, rendered last, as the frame's; returns the figures for the report."""
-    with line.stage("saving"):
-        with muted():
-            save_render_result(bpy.context.scene, stem)  # displayed bit for bit as EEVEE's own
-        _save_layers({"Combined": passes.combined} | _raster_layers(passes), stem)
+def _shown_by_raster(passes: Passes, stem: Path, line: Timeline) -> dict[str, Any]:
+    """Figures of a frame that EEVEE's picture shows, which is saved already; its layers are saved here."""
+    _save_layers({"Combined": passes.combined} | _raster_layers(passes), stem)
     return {**_figures(line, 0), "raster_only": True}
 
 

@@ -18,6 +18,7 @@ from ...core.film import LUMINANCE
 from ...core.scene import F32
 from ..console import muted
 from ..extract.depsgraph import changed, no_new_images
+from ..pictures import save_render_result
 
 _PASSES = ("diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color", "emit", "environment")
 _FILE = {
@@ -79,25 +80,29 @@ class Passes:
         return np.minimum(np.where(self.environment.any(axis=2, keepdims=True) & ~total.any(axis=2, keepdims=True), np.float32(1), total), np.float32(1))
 
 
-def render_passes(scene: bpy.types.Scene, samples: int = 8, lamps_only: bool = True, unshadowed: bool = False) -> Passes:
+def render_passes(
+    scene: bpy.types.Scene, samples: int = 8, lamps_only: bool = True, unshadowed: bool = False, save: Path | None = None
+) -> Passes:
     """Render the current frame of the open file by EEVEE, everything in it, and return its passes; the scene's settings are put back.
 
     lamps_only: no other light falls on surfaces, for others bring it; else all that EEVEE makes of the scene's settings. unshadowed: with lamps_only, render
-    their light without shadows too.
+    their light without shadows too. save: also save the picture as save.exr and save.png, displayed as Blender displays its renders.
 
     Raises InputError where it cannot be rendered. OpenGL must be there (`opengl.require`).
     """
-    passes = _render(scene, samples, _LAMPS_ONLY if lamps_only else {})
+    passes = _render(scene, samples, _LAMPS_ONLY if lamps_only else {}, save)
     if not unshadowed:
         return passes
     return dataclasses.replace(passes, unshadowed=_render(scene, samples, {**_LAMPS_ONLY, "use_shadows": False}).direct)
 
 
-def _render(scene: bpy.types.Scene, samples: int, eevee: dict[str, Any]) -> Passes:
+def _render(scene: bpy.types.Scene, samples: int, eevee: dict[str, Any], save: Path | None = None) -> Passes:
     with tempfile.TemporaryDirectory(prefix="lipac-") as folder, _settings(scene, samples, eevee, Path(folder) / "passes.exr"), no_new_images():
         try:
             with muted():
                 bpy.ops.render.render(write_still=True, scene=scene.name)
+                if save is not None:
+                    save_render_result(scene, save)
         except RuntimeError as error:
             raise InputError(f"eevee cannot render the scene: {str(error).removeprefix('Error:').strip()}") from error
         return _read(Path(folder) / "passes.exr")
