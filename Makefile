@@ -16,6 +16,8 @@ install: $(VENV)/.installed
 demo: install
 	$(BIN)/python -m lipac.scripts.make_demo -o out/demo
 results: install
+	$(BIN)/python -m lipac.scripts.hybrid_results -o docs/results
+	$(BIN)/python -m lipac.scripts.hybrid_pop -o docs/results
 	$(BIN)/lipac evaluate --all -o docs/results --budget-check 5 --ray-budget
 accuracy: $(VENV)/.installed-test
 	$(BIN)/python -m lipac.scripts.accuracy
