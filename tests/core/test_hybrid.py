@@ -11,8 +11,8 @@ from lipac.core.culling import CullOptions
 from lipac.core.errors import InputError
 from lipac.core.film import LUMINANCE
 from lipac.core.hitboxes import Hitboxes
-from lipac.core.hybrid import MODES, Light, boxes_before_lamps, with_mode
-from lipac.core.loop import Loop
+from lipac.core.hybrid import MODES, Light, boxes_before_lamps, in_question, is_nearer, reference, with_mode
+from lipac.core.loop import CullingResult, Loop
 from lipac.core.tlas import Tlas
 from lipac.core.tracer import prepare, trace
 
@@ -164,20 +164,22 @@ def test_mirror_shows_what_is_built():
 
 
 def test_interior_lit_by_bounce():
-    """A floor under a lid, the lamp beside it: light comes by way of the ground alone. The mean is the path tracer's, to 4 standard errors of the paths."""
+    """A floor under a lid, the lamp beside it: light comes by way of the ground alone. The mean is the path tracer's, to 4 standard errors of the pixels'
+    differences: a tenth of it."""
     walls = [(0, placed((0, 0, 0), 14.0), 0), (1, placed((0, 0, 1.2), (4.0, 4.0, 0.1)), 0)]
-    lights = lamp(s.LightKind.SPOT, (5, 0, 4), radius=0.05, spot_size=0.6, power=800.0)
+    lights = lamp(s.LightKind.SPOT, (5, 0, 4), radius=0.05, spot_size=1.2, power=800.0)
     scene = centred(build([quad(), cube()], walls, [material(base_color=0.8)], look_at((0, -6, 0.5), (0, 0, 0.4), 0.2), lights, world=(0, 0, 0), size=SIZE))
-    of = light(scene, samples=64)
+    of = light(scene, samples=256)
     under = first_hits(scene).hits["instance"] == 0
     hidden = under & (of.clear.sum(axis=2) == 0)
     assert hidden.sum() > 50
     blas = BlasCache(scene.meshes)
     blas.need(scene.instances.mesh)
-    paths = trace(prepare(scene, blas), Tlas(scene.instances, blas, np.ones(2, bool)), 64, first_sample=64).mean[..., 0]
-    a, b = of.indirect[..., 0][hidden], paths[hidden]
-    assert b.mean() > 1e-3
-    assert abs(a.mean() - b.mean()) < 4 * np.sqrt((a.var() + b.var()) / hidden.sum())
+    paths = trace(prepare(scene, blas), Tlas(scene.instances, blas, np.ones(2, bool)), 256, first_sample=256).mean[..., 0]
+    difference = of.indirect[..., 0][hidden] - paths[hidden]
+    error = difference.std() / np.sqrt(hidden.sum())
+    assert 4 * error < 0.15 * paths[hidden].mean()
+    assert abs(difference.mean()) < 4 * error
 
 
 @pytest.mark.parametrize("mode", MODES[:3])
@@ -198,3 +200,35 @@ def test_modes(mode):
 def test_mode_unknown():
     with pytest.raises(InputError, match="unknown global illumination 'radiosity'"):
         with_mode(mixed(), "radiosity")
+
+
+def test_nearer():
+    """A picture is shown where it is clearly nearer to a noisy truth than a raster; noise of the truth decides nothing."""
+    rng = np.random.default_rng(5)
+    true = rng.uniform(0.2, 1.0, (9, 16)).repeat(16, axis=0).repeat(16, axis=1)[..., None].repeat(3, axis=2)  # 256 x 144
+    seen = (true[::4, ::4, 0] * rng.exponential(1.0, (36, 64))).astype(np.float32)  # one path per pixel of a quarter of the size
+    near, far = true * 1.05, true * 1.5
+    assert is_nearer(seen, near, far) and not is_nearer(seen, far, near)
+    assert not is_nearer(seen, near, near)  # of equals the raster
+
+
+def test_question():
+    """What changed little by measurement, or culled nothing, needs no comparison; what nobody measured does."""
+    one = np.zeros(1)
+
+    def result(boxes: int, **stats: float) -> CullingResult:
+        return CullingResult(one, one, one, np.zeros((boxes, 2, 3), np.float32), stats)  # type: ignore[arg-type]
+
+    assert not in_question(result(0)) and not in_question(result(3, calibrated_mean=0.01))
+    assert in_question(result(3)) and in_question(result(3, calibrated_mean=0.2))
+
+
+def test_reference_is_the_picture_with_everything():
+    """The truth of the comparison is the path tracer's picture, though nothing was built before: means agree within 4 standard errors of its paths."""
+    scene = mixed()
+    seen = reference(scene, CullOptions(policy="distance", distance=0.0, paths=16), lambda: False)
+    blas = BlasCache(scene.meshes)
+    blas.need(scene.instances.mesh)
+    full = trace(prepare(scene, blas), Tlas(scene.instances, blas, np.ones(len(scene.instances), bool)), 64).mean[..., :3] @ LUMINANCE
+    assert seen.shape == full.shape
+    assert abs(seen.mean() - full.mean()) < 4 * np.hypot((seen - full).std(), full.std() / 8) / np.sqrt(seen.size)
