@@ -18,21 +18,14 @@ from lipac.lipac_addon.hybrid import HybridOptions, render_hybrid
 from lipac.lipac_addon.pictures import read_picture
 from lipac.lipac_addon.raster import opengl
 from lipac.lipac_addon.raster.denoise import denoise
+from lipac.lipac_addon.raster.layers import read_layers
 from lipac.lipac_addon.raster.passes import render_passes
+from lipac.scripts.hybrid_pop import measure
 from lipac.scripts.lipac import main
 
 SMALL = ["--resolution", "64x36", "--quiet"]
 FAST = [*SMALL, "--engine", "hybrid", "--raster-samples", "2"]
 needs_opengl = pytest.mark.skipif(not opengl.has_opengl(), reason=opengl.NO_OPENGL)
-
-
-def read_layers(path):
-    import OpenEXR
-
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = {n: c.pixels[::-1] for part in file.parts for n, c in part.channels.items()}
-    names = {n.rsplit(".", 1)[0].partition(".")[2] for n in channels}
-    return {n: np.stack([channels[c] for c in (f"Hybrid.{n}.{x}" for x in "VRGBA") if c in channels], axis=2).squeeze() for n in names}
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +64,8 @@ def pictures(scene_file, tmp_path_factory):
     render_blender("cycles", folder / "cycles", samples=256)
     render_blender("eevee", folder / "eevee", samples=2)
     out = {name: read_picture(folder / f"{name}.exr")[..., :3] for name in ("cycles", "eevee")}
-    for name, options in {"full": ["--cull", "none"], "some": ["--max-error", "0.03"], "none": ["--min-share", "1e9"]}.items():
+    ways = {"full": ["--cull", "none"], "some": ["--max-error", "0.3"], "few": ["--cull", "distance", "--distance", "7.2"], "none": ["--min-share", "1e9"]}
+    for name, options in ways.items():
         assert main(["render", str(scene_file), "-o", str(folder / name), *FAST, "--samples", "32", *options]) == 0
         out[name] = read_picture(folder / name / "frame_0001.exr")[..., :3]
     return out, folder
@@ -88,14 +82,18 @@ def test_as_cycles_where_nothing_is_culled(pictures):
 
 @needs_opengl
 def test_never_below_the_raster(pictures):
-    """Hybrid is no further from the truth than EEVEE, also with everything culled: then it is EEVEE's picture."""
+    """Hybrid is no further from the truth than EEVEE, whatever is culled: where it might be, EEVEE's picture is shown, bit for bit as EEVEE shows it."""
     out, folder = pictures
     base = relative_mse(out["cycles"], out["eevee"])
-    for name in ("full", "some", "none"):
+    for name in ("full", "some", "few", "none"):
         assert relative_mse(out["cycles"], out[name]) <= base * (1 + 1e-6)
-    frames = {name: json.loads((folder / name / "report.json").read_text())["frames"][0] for name in ("some", "none")}
+    frames = {name: json.loads((folder / name / "report.json").read_text())["frames"][0] for name in ("some", "few", "none")}
+    assert frames["none"]["raster_only"]
+    shown, own = read_picture(folder / "none" / "frame_0001.png"), read_picture(folder / "eevee.png")
+    np.testing.assert_array_equal(shown, own)
+    assert 0 < frames["few"]["active"] < frames["few"]["instances"]
     assert frames["none"]["active"] == frames["none"]["blas_bytes"] == 0
-    assert 0 < frames["some"]["active"] <= frames["some"]["instances"]
+    assert frames["some"]["active"] < frames["some"]["instances"]
 
 
 @needs_opengl
@@ -179,6 +177,40 @@ def test_nothing_traced(boxes_file, tmp_path):
     frame = json.loads((tmp_path / "report.json").read_text())["frames"][0]
     assert frame["render_rays"] == frame["active"] == 0
     assert read_picture(tmp_path / "frame_0001.exr")[..., :3].mean() > 0.01
+
+
+@pytest.mark.parametrize("mode", ["diffuse-1", "reflections"])
+def test_modes_cull(scene_file, tmp_path, mode):
+    """Each mode culls by the paths that it traces: without diffuse bounces this scene of plain surfaces needs what casts shadows alone, and fewer rays."""
+    frames = {}
+    for gi in ("path", mode):
+        command = ["render", str(scene_file), "-o", str(tmp_path / gi), *FAST, "--samples", "4", "--primary", "traced", "--max-error", "0.05", "--gi", gi]
+        assert main(command) == 0
+        frames[gi] = json.loads((tmp_path / gi / "report.json").read_text())["frames"][0]
+    assert frames[mode]["rays"] < frames["path"]["rays"]
+    assert frames[mode]["active"] <= frames["path"]["active"] <= frames[mode]["instances"]
+    assert frames[mode]["calibrated_mean"] <= 0.05
+
+
+def test_frames_follow_each_other(scene_file, tmp_path):
+    """With --warm the second frame begins with what the first one needed: one round, nothing built."""
+    command = ["render", str(scene_file), "-o", str(tmp_path), *FAST, "--samples", "2", "--primary", "traced", "--frames", "1-2", "--warm"]
+    assert main(command) == 0
+    first, second = json.loads((tmp_path / "report.json").read_text())["frames"]
+    assert first["blas_built"] > 0 and first["iterations"] > 1
+    assert second["blas_built"] == 0 and second["iterations"] == 1
+    assert second["active"] == first["active"]
+    assert (tmp_path / "frame_0002_layers.exr").exists()
+
+
+@needs_opengl
+def test_pop(tmp_path):
+    """A slab that distance culls in the middle one of three frames takes its shadow along, unless the raster keeps it: then what is left of the pop is the
+    light that the slab bounced, less than a quarter of it here."""
+    result = measure(3, (64, 36), 8)
+    assert result.kept == [True, False, True]
+    assert result.largest("none") > 0.5  # of the lit floor's brightness
+    assert result.largest("raster shadow maps") < 0.25 * result.largest("none")
 
 
 def test_no_opengl(boxes_file, tmp_path):
