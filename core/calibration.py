@@ -21,7 +21,7 @@ from .tiles import DARK, TILES, tiles_of
 TRIALS = 20  # of selections, at most
 PATIENCE = 6  # trials since the last that was the best so far, after which no better one is expected
 WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
-CONFIDENCE = 2.0  # standard deviations of its measurement that are added to the change of a tile
+CONFIDENCE = 3.0  # standard deviations of its measurement that are added to the change of a tile
 AIM = 0.95  # of the budget: what the next selection is to use up
 PATHS = 1.0  # traced by all trials together at most, to those of the measurement: a calibration costs no more than what it calibrates
 
