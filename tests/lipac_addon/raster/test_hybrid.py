@@ -19,7 +19,7 @@ from lipac.lipac_addon.pictures import read_picture
 from lipac.lipac_addon.raster import opengl
 from lipac.lipac_addon.raster.denoise import denoise
 from lipac.lipac_addon.raster.layers import read_layers
-from lipac.lipac_addon.raster.passes import render_passes
+from lipac.lipac_addon.raster.passes import Passes, render_passes
 from lipac.scripts.hybrid_pop import measure
 from lipac.scripts.lipac import main
 
@@ -168,6 +168,15 @@ def test_passes_hold_lamps_alone(boxes):
     assert lit.diffuse_color.max() == pytest.approx(0.8, abs=0.05)  # the diffuse lobe alone
     assert [(k, str(getattr(boxes.eevee, k))) for k, _ in before] == before
     assert not boxes.view_layers[0].use_pass_shadow
+
+
+def test_visible_is_a_share_of_light():
+    """A pixel that faces the sun by half and is in no shadow is wholly visible; in half shadow, by half; where no light is, nothing is kept away."""
+    one = np.ones((1, 3, 3), np.float32)
+    light = np.array([0.5, 0.25, 0.0], np.float32)[None, :, None] * one
+    rest = {"combined": np.ones((1, 3, 4), np.float32), "glossy": 0 * one, "glossy_color": one, "emission": 0 * one, "environment": 0 * one}
+    passes = Passes(diffuse=light, diffuse_color=one, unshadowed=np.array([0.5, 0.5, 0.0], np.float32)[None, :, None] * one, **rest)
+    np.testing.assert_allclose(passes.visible, [[1.0, 0.5, 1.0]])
 
 
 @needs_opengl
