@@ -16,7 +16,7 @@ from ..core.progress import Progress, part
 SIZE = (320, 180)
 SUPPLIED = Path(__file__).parents[2] / "shared" / "scenes"
 SCENES = ("rooms1024.blend", "candela_city.blend", "kitchen.blend", "indoor.blend")
-DEMOS = {"mirror-city": 20_000}
+DEMOS = {"mirror-city": 20_000, "crowd": 500}
 PIECES = "build"  # folder of finished pieces, which need not be kept
 
 
