@@ -150,7 +150,7 @@ class Search:
             tried.add(choice.cull.tobytes())
             self._learn(choice)
             if self._excess(choice) > 1:
-                aim *= AIM
+                aim *= AIM if last < TRIALS else AIM**2  # anything within the budget is better than nothing
             else:
                 aim = min(aim / AIM**0.5, AIM)
                 if self.savings.of(choice.cull) > self.savings.of(best.cull):

@@ -32,7 +32,7 @@ from .tlas import Tlas
 from .tracer import Prepared, advanced, prepare, trace
 from .view import View
 
-COLD_HITS = 4  # segments of one round that must cross a box before it is opened: fewer is chance
+COLD_HITS = 7  # segments of one round that must cross a box before it is opened: fewer is chance
 SETTLED = 0.02  # segments per path that still ask for a box when coarse rounds end
 UNKNOWN = 0.2  # segments per path that ask for a box where coarse rounds are worth while
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about

@@ -78,7 +78,7 @@ def test_render_from_a_shell(blend, tmp_path):
     done = command("render", blend, "-o", tmp_path / "a", "--frames", "1-2", *SMALL)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0].split()[:3] == ["frame", "instances", "active"]
-    assert len(done.stdout.splitlines()) == 4
+    assert len(done.stdout.splitlines()) == 5
     assert {line[:4].strip().isdigit() for line in done.stderr.splitlines()} <= {True}  # progress only
     folder = tmp_path / "a"
     names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
