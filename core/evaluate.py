@@ -41,12 +41,14 @@ class Settings:
 
 
 class Store:
-    """Finished pieces of an evaluation in a folder, so that it can go on where it was stopped. A piece counts only for the scene it was made with."""
+    """Finished pieces of an evaluation in a folder, so that it can go on where it was stopped. A piece counts only for the scene and the code it was made with."""
 
     def __init__(self, folder: Path, scene: Scene, samples: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         digest = hashlib.sha256(str(samples).encode())
+        for path in sorted(Path(__file__).parent.glob("*.py")):
+            digest.update(path.read_bytes())
         i, c = scene.instances, scene.camera
         for array in (i.transform, i.mesh, i.slots, i.flags, scene.mesh_bounds, scene.materials, scene.lights, scene.world.color, c.to_world, c.frame):
             digest.update(np.ascontiguousarray(array).tobytes())

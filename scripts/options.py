@@ -215,6 +215,8 @@ def check(args: argparse.Namespace) -> None:
         raise InputError("--shot goes with --frames that are a part of it")
     if args.verify and (args.bake == "shot" or getattr(args, "engine", "") == "hybrid"):
         raise InputError("--verify is for --bake frame, and for the engines cycles, eevee and path")
+    if args.verify and args.cull == "none":
+        raise InputError("--verify measures what culling changes: with --cull none nothing does")
     if args.scene is not None and not args.scene.exists():
         raise InputError(f"no such file: {args.scene}")
     cull_options(args)

@@ -124,6 +124,7 @@ BAD = [
     (["--no-mitigation"], "--warm"),
     (["--verify", "13"], "1 to 12"),
     (["--verify", "2", "--bake", "shot"], "--bake frame"),
+    (["--verify", "2", "--cull", "none"], "nothing does"),
     (["--shot", "1-4"], "--bake shot"),
     (["--shot", "1-4", "--bake", "shot"], "--frames"),
     (["--shot", "1-4", "--bake", "shot", "--frames", "4-5"], "a part of it"),
