@@ -41,7 +41,9 @@ class Settings:
 
 
 class Store:
-    """Finished pieces of an evaluation in a folder, so that it can go on where it was stopped. A piece counts only for the scene and the code it was made with."""
+    """Finished pieces of an evaluation in a folder, so that it can go on where it was stopped.
+
+    A piece counts only for the scene and the code it was made with."""
 
     def __init__(self, folder: Path, scene: Scene, samples: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
