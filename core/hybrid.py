@@ -20,18 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import path_state
+from .boxes import enclosing, existing
 from .culling import CullOptions
 from .errors import InputError
 from .film import LUMINANCE, Picture
 from .loop import CullingResult, Loop
-from .placing import LARGEST
 from .regions import spatial_order
 from .scene import F32, F64, Scene
 
 MOST_BOXES = 1 << 17  # before lamps: 14 MB of them, built in a fifth of a second
-SURE = 0.03  # mean change of a picture up to which it is taken to be nearer to the truth than a raster without paths
+SURE, UNSURE = 0.02, 0.03  # mean changes of a picture up to which it is nearer to the truth than a raster without paths, and from which that is asked
 CELL = 4  # pixels of an analysis' picture, each way, that are compared as one
-CLEARLY = 0.9  # of the raster's error: what is not less than that is shown by the raster
+DEVIATIONS = 2.0  # standard ones of a share of paths that are taken for noise
 MODES = ("path", "diffuse-1", "reflections", "none")
 
 
@@ -55,49 +55,86 @@ def boxes_before_lamps(bounds: F32, culled: NDArray[np.bool_], most: int = MOST_
 
     Each instance has its own; where there are more than `most`, so many neighbours share one that there are not.
     """
-    there = culled & (bounds[:, 0] <= bounds[:, 1]).all(axis=1) & (np.abs(bounds) <= LARGEST).all(axis=(1, 2))
-    boxes = bounds[there]
+    boxes = bounds[culled]
+    boxes = boxes[existing(boxes)]
     if len(boxes) <= most:
         return boxes
-    boxes = boxes[spatial_order(boxes)]
-    starts = np.arange(0, len(boxes), -(-len(boxes) // most))
-    return np.stack([np.minimum.reduceat(boxes[:, 0], starts), np.maximum.reduceat(boxes[:, 1], starts)], axis=1)
+    return enclosing(boxes[spatial_order(boxes)], -(-len(boxes) // most))
 
 
-def in_question(result: CullingResult) -> bool:
-    """Whether a raster without any path might be nearer to the truth than a picture without what is culled: much has changed, or nobody measured how much."""
-    return len(result.boxes) > 0 and not result.stats.get("calibrated_mean", np.inf) <= SURE
+def in_question(result: CullingResult) -> float:
+    """How far a raster without any path might be nearer to the truth than a picture without what is culled: 0 where that has hardly changed, 1 where it has
+    changed much or nobody measured how much; between SURE and UNSURE in proportion, so that frames of a shot do not jump."""
+    if not len(result.boxes):
+        return 0.0
+    return float(np.clip((result.stats.get("calibrated_mean", np.inf) - SURE) / (UNSURE - SURE), 0.0, 1.0))
 
 
 def reference(scene: Scene, options: CullOptions, cancelled: Callable[[], bool]) -> F32:
-    """Luminance (h, w) float32 of the picture with nothing culled that light paths ask for, of the size of an analysis by these options. Raises Cancelled."""
-    loop = Loop(scene, dataclasses.replace(options, policy="light-paths", min_share=None, blas_budget_bytes=0, blas_budget_ms=0.0), cancelled)
+    """Luminance (h, w) float32 of the picture with nothing culled that light paths ask for, of the size of an analysis by these options; by other random
+    numbers than theirs, so that its noise is not the picture's. Raises Cancelled."""
+    whole = dataclasses.replace(options, policy="light-paths", min_share=None, blas_budget_bytes=0, blas_budget_ms=0.0, seed=options.seed ^ 1)
+    loop = Loop(scene, whole, cancelled)
     loop.run()
     assert loop.measured is not None
     return (loop.measured.log.luminance.mean(axis=2) * np.float32(scene.film.exposure)).astype(np.float32)
 
 
-def is_nearer(truth: F32, picture: F32, raster: F32) -> bool:
-    """Whether a picture is clearly nearer to the truth than a raster. truth: (h, w) luminance, noisy; the others (H, W, 3 or more), at least as large.
+def share_of_paths(truth: F32, picture: F32, raster: F32) -> float:
+    """The share w, 0 to 1, by which w picture + (1 - w) raster is nearest to the truth. truth: (h, w) luminance, noisy; the others (H, W, 3 or more), at
+    least as large.
 
-    By relMSE of means over CELL x CELL pixels of the truth, whose noise is all but gone there.
+    Weighted least squares (weights of relMSE) of means over CELL x CELL pixels of the truth, whose noise is all but gone there. The error of such a mixture is
+    a parabola over w: at its bottom it is at most that of either, and up to twice as far from 0 as the bottom at most the raster's. w is known to its
+    standard error (White, "A Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 1980); what lies within DEVIATIONS of them is 0 at the
+    one end and 1 at the other, and what is between is stretched, at most twofold: so the mixture is not worse than the raster by chance.
+
+    A function of the frame alone, and continuous: pictures that change little from frame to frame are shown by shares that do.
     """
     rows, columns = (-(-n // CELL) for n in truth.shape)
-    true, *errors = (_cells(p if p.ndim == 2 else p[..., :3] @ LUMINANCE, rows, columns) for p in (truth, picture, raster))
-    ours, theirs = (float(((e - true) ** 2 / (true**2 + 0.01)).mean()) for e in errors)
-    return ours < CLEARLY * theirs
+    true, ours, theirs = (_cells(p if p.ndim == 2 else p[..., :3] @ LUMINANCE, rows, columns) for p in (truth, picture, raster))
+    weight = 1 / (_around(true) ** 2 + 0.01)  # of cells around: a cell's own noise must not choose its weight
+    apart, wanted = ours - theirs, true - theirs
+    square = float((weight * apart**2).sum())
+    if square == 0:
+        return 1.0
+    share = float((weight * apart * wanted).sum()) / square
+    noise = DEVIATIONS * float(np.sqrt(((weight * apart * (wanted - share * apart)) ** 2).sum())) / square
+    return float(np.clip((share - noise) / max(1 - 2 * noise, 0.5), 0.0, 1.0))
+
+
+def mixture(picture: F32, raster: F32, share: float) -> F32:
+    """share picture + (1 - share) raster, (H, W, C) float32 each."""
+    return (np.float32(share) * picture + np.float32(1 - share) * raster).astype(np.float32)
+
+
+def _around(cells: F64) -> F64:
+    """Means of each cell and its neighbours, (rows, columns)."""
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(np.pad(cells, 1, mode="edge"), (3, 3)).mean(axis=(2, 3)))
 
 
 def _cells(luminance: F32, rows: int, columns: int) -> F64:
-    """Means over rows x columns equal parts of a picture (H, W)."""
+    """Means over rows x columns equal parts of a picture (H, W): (rows, columns)."""
     y, x = (np.arange(n) * of // n for n, of in zip(luminance.shape, (rows, columns), strict=True))
     cell = (y[:, None] * columns + x[None, :]).ravel()
-    return np.bincount(cell, luminance.ravel(), rows * columns) / np.bincount(cell, minlength=rows * columns)
+    means = np.bincount(cell, luminance.ravel(), rows * columns) / np.bincount(cell, minlength=rows * columns)
+    return np.asarray(means.reshape(rows, columns))
+
+
+def added(total: Picture | None, picture: Picture) -> Picture:
+    """The sums of two traces with parts; those of total are added to in place. None: of no trace yet."""
+    if total is None:
+        return picture
+    assert total.parts is not None and picture.parts is not None
+    np.add(total.sums, picture.sums, out=total.sums)
+    np.add(total.parts, picture.parts, out=total.parts)
+    counts = {name: getattr(total, name) + getattr(picture, name) for name in ("samples", "paths", "rays")}
+    return dataclasses.replace(total, **counts)
 
 
 @dataclass(frozen=True)
 class Light:
-    """Mean light of all passes, (H, W, 3) float32 each, linear, rows bottom up.
+    """Mean light, (H, W, 3) float32 each, linear, rows bottom up.
 
     straight: emission and background seen directly. clear, maybe: of lamps, at the first hit. indirect: all other light. alpha: (H, W).
     sampled: (H, W, 3), luminance of lamp samples at the first hit: clear, maybe, blocked.
@@ -111,12 +148,10 @@ class Light:
     sampled: F32
 
     @staticmethod
-    def of(pictures: list[Picture]) -> Light:
-        """From the passes' pictures, each with parts."""
-        samples = np.float32(sum(p.samples for p in pictures))
-        total = sum((p.sums for p in pictures[1:]), pictures[0].sums.copy()) / samples
-        parts = [p.parts for p in pictures if p.parts is not None]
-        part = sum(parts[1:], parts[0].copy()) / samples
+    def of(picture: Picture) -> Light:
+        """From a picture with parts, of one pass or of all (`added`)."""
+        assert picture.parts is not None
+        total, part = picture.mean, picture.parts / np.float32(picture.samples)
         straight, clear, maybe = (part[..., at : at + 3] for at in (path_state.STRAIGHT, path_state.CLEAR, path_state.MAYBE))
         indirect = np.maximum(total[..., :3] - straight - clear - maybe, np.float32(0))
         return Light(straight, clear, maybe, indirect, total[..., 3], part[..., path_state.SAMPLED_CLEAR : path_state.SAMPLED_BLOCKED + 1])

@@ -17,11 +17,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .blas import MESH
+from .boxes import existing
 from .environment import Environment, build_environment, environment_pdf, find_interval, sample_environment
 from .lamps import AREA, FAR, K_KIND, K_RADIANCE, LAMP, SPOT, SUN, lamp_constants, lamp_pdf, sample_lamp
 from .light_tree import NODE, LightBounds, LightTree, build_light_tree, sample_tree, tree_pdf
 from .memory import address, f32_pointer, load_f32, load_i32, load_i64, load_u64, offset
-from .placing import LARGEST
 from .sampling import OPTIONS, normalize
 from .scene import F32, I32, Mesh, RayType, Scene
 from .shading import T_TRANSFORM, vertex
@@ -77,10 +77,8 @@ def emissive_instances(scene: Scene) -> NDArray[np.int64]:
     starts = np.unique(np.append(scene.instances.slots, len(scene.slot_materials)))
     any_from = np.logical_or.reduceat(emits_slot, starts)[:-1] if len(starts) > 1 else np.zeros(0, bool)
     flagged = any_from[np.searchsorted(starts, scene.instances.slots)]
-    usable = (scene.instances.flags & _BSDF_RAYS) != 0
-    with np.errstate(invalid="ignore"):
-        usable &= (np.abs(scene.instances.bounds) <= LARGEST).all(axis=(1, 2))
-    return np.flatnonzero(flagged & usable & (scene.mesh_bounds[scene.instances.mesh, 0] <= scene.mesh_bounds[scene.instances.mesh, 1]).all(1))
+    rows = np.flatnonzero(flagged & ((scene.instances.flags & _BSDF_RAYS) != 0))
+    return rows[existing(scene.instances.bounds[rows])]
 
 
 @dataclass(frozen=True)

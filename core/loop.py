@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .blas import BlasCache, Work
+from .boxes import existing
 from .change import Change
 from .culling import CullOptions, State
 from .embree import Device, shared_device
@@ -24,7 +25,6 @@ from .feedback import Feedback, Weights
 from .film import LUMINANCE, Picture
 from .hitboxes import Hitboxes
 from .path_log import RECORD, PathLog
-from .placing import LARGEST
 from .progress import Progress, part, silent
 from .regions import Cut, Regions
 from .scene import F32, I32, I64, U8, RayType, Scene
@@ -91,13 +91,6 @@ class Measurement:
         return out
 
 
-def _existing(bounds: F32) -> np.ndarray:
-    """What can be met: has triangles, and coordinates that are finite and no larger than Embree takes. (N, 2, 3) -> (N,) bool."""
-    columns = np.ascontiguousarray(bounds.reshape(-1, 6).T)  # fast along the long axis
-    with np.errstate(invalid="ignore"):
-        return np.logical_and.reduce(columns[:3] <= columns[3:]) & np.logical_and.reduce(np.abs(columns) <= LARGEST)
-
-
 class Loop:
     """The loop over a scene, and on to its next frames: what exists between rounds.
 
@@ -125,7 +118,7 @@ class Loop:
         self._shown = np.zeros(0, np.int32)  # large instances in view
         self._enter(scene, cancelled)
         start = time.perf_counter()
-        self.exists = _existing(scene.instances.bounds)
+        self.exists = existing(scene.instances.bounds)
         self.regions = Regions(scene.instances.bounds, np.flatnonzero(self.exists))
         self.blas = BlasCache(scene.meshes, self.device)
         self.prepared = prepare(scene, self.blas)
@@ -168,7 +161,7 @@ class Loop:
         """Follow motion, (N,) bool, of the same instances."""
         bounds = self.scene.instances.bounds
         rows = np.zeros(0, np.int64) if moved is None else np.flatnonzero(moved)
-        exist = _existing(bounds[rows])
+        exist = existing(bounds[rows])
         if (exist != self.exists[rows]).any():
             self.exists = self.exists.copy()
             self.exists[rows] = exist
@@ -182,7 +175,7 @@ class Loop:
     def _carry(self, previous: I32) -> None:
         """Follow instances to their new rows: (N,) int32 row of the frame before, -1 for new ones."""
         bounds = self.scene.instances.bounds
-        self.exists = _existing(bounds)
+        self.exists = existing(bounds)
         shown = np.zeros(len(self.active), bool)
         shown[self._shown] = True
         known = np.flatnonzero(previous >= 0)

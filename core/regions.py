@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .boxes import columns, enclosing, extents
 from .scene import F32, I32, I64
 from .view import View
 
@@ -41,13 +42,13 @@ def spatial_order(bounds: F32) -> I32:
     """
     if not len(bounds):
         return np.zeros(0, np.int32)
-    columns = _columns(bounds)
-    center = (columns[:3] + columns[3:]) * np.float32(0.5)
+    c = columns(bounds)
+    center = (c[:3] + c[3:]) * np.float32(0.5)
     low = center.min(axis=1, keepdims=True)
     extent = max(float((center.max(axis=1, keepdims=True) - low).max()), 1e-30)
     x, y, z = np.clip((center - low) * np.float32((1 << _MORTON_BITS) / extent), 0, (1 << _MORTON_BITS) - 1).astype(np.uint64)
     code = _spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2))
-    size = _longest(columns)
+    size = extents(bounds)
     largest = max(float(size.max()), 1e-30)
     rank = np.clip(-np.log2(np.maximum(size / np.float32(largest), 1e-30)) / 2, 0, _SIZE_CLASSES - 1).astype(np.uint64)
     # The index in the low bits makes keys distinct: a plain sort of integers is then an argsort, stable and several times as fast.
@@ -89,9 +90,9 @@ class Regions:
         self.place: I32 = np.full(len(bounds), -1, np.int32)  # of every instance along the curve, -1 for none
         self.place[self.order] = np.arange(len(order), dtype=np.int32)
         self._bounds: list[F32] = [boxes.take(order, axis=0)]
-        self._extent: list[F32] = [_extents(self._bounds[0])]  # of the largest instance in each node, its longest side
+        self._extent: list[F32] = [extents(self._bounds[0])]  # of the largest instance in each node, its longest side
         while len(self._bounds[-1]) > FANOUT:
-            self._bounds.append(_enclosing(self._bounds[-1]))
+            self._bounds.append(enclosing(self._bounds[-1], FANOUT))
             self._extent.append(np.maximum.reduceat(self._extent[-1], np.arange(0, len(self._extent[-1]), FANOUT)))
         self.split = [np.zeros(len(level), bool) for level in self._bounds]
         # By level, of each node: frame of its last closing, frame until which it stays open, and how often it was closed in vain.
@@ -131,7 +132,7 @@ class Regions:
         self._bounds[0][places, 0] = np.minimum(self._now[places, 0], new[:, 0])
         self._bounds[0][places, 1] = np.maximum(self._now[places, 1], new[:, 1])
         self._now[places] = new
-        self._extent[0][places] = _extents(new)
+        self._extent[0][places] = extents(new)
         changed, self._moving = np.concatenate([places, self._moving]), places
         for level in range(1, self.levels):
             changed = np.unique(changed // FANOUT)
@@ -266,25 +267,3 @@ class Regions:
         free = self._stays[0][places] <= self._frame
         self._closed[0][places[free]] = self._frame
         return instances[free]
-
-
-def _columns(boxes: F32) -> F32:
-    """Boxes (N, 2, 3) as (6, N): numpy is many times as fast along a long axis as along one of three."""
-    return np.ascontiguousarray(boxes.reshape(-1, 6).T)
-
-
-def _longest(columns: F32) -> F32:
-    """Longest sides of boxes (6, N): (N,)."""
-    sides = columns[3:] - columns[:3]
-    return np.maximum(np.maximum(sides[0], sides[1]), sides[2])
-
-
-def _extents(boxes: F32) -> F32:
-    """Longest sides of boxes (N, 2, 3): (N,)."""
-    return _longest(_columns(boxes))
-
-
-def _enclosing(boxes: F32) -> F32:
-    """Boxes around each run of FANOUT boxes."""
-    starts = np.arange(0, len(boxes), FANOUT)
-    return np.stack([np.minimum.reduceat(boxes[:, 0], starts), np.maximum.reduceat(boxes[:, 1], starts)], axis=1)

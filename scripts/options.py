@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from ..core.budget import SPREAD, Budget
 from ..core.culling import DEFAULT_BUDGET, POLICIES, CullOptions
 from ..core.errors import InputError
+from ..core.kernels import load_ahead, telling
 from ..core.progress import Progress, Terminal, silent
 
 if TYPE_CHECKING:
@@ -228,17 +229,21 @@ def do_frames(
 ) -> Report:
     """What `analyze` and `render` share: check, open, work through the frames, and print the table. hybrid: fields of `HybridOptions`; save: as in `Job`."""
     check(args)
-    with progress_of(args.quiet) as progress, ctrl_c() as cancelled:  # Blender, too, for it swallows exceptions while it starts, and goes on half started
+    # Blender's start, too: it swallows exceptions while it starts, and goes on half started
+    with progress_of(args.quiet) as shown, telling(shown) as progress, ctrl_c() as cancelled:
         progress(0.0, "opening the scene")
         from ..lipac_addon.console import muted
 
         with muted():
             import bpy
         from ..lipac_addon.baked import check_target
+        from ..lipac_addon.engines import BLENDER_ENGINES
         from ..lipac_addon.hybrid import HybridOptions
         from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
         from ..lipac_addon.pipeline import Job, run
 
+        if args.cull != "none" or engine not in BLENDER_ENGINES:
+            load_ahead()
         if args.scene is not None:
             open_scene(args.scene)
         if save is not None:
