@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     from .. import register
     from ..lipac_addon.demo import mirror_city
-    from ..lipac_addon.ui import panel, results
+    from ..lipac_addon.ui import figures, results
 
     register()
     mirror_city.build(args.instances, 0)
@@ -47,14 +47,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     result = results.at(scene)
     if result is None:
         return 1
-    for label, text in panel.rows_of(result):
+    for label, text in figures.rows_of(result):
         print(f"{label}: {text}")
     width, height = args.size
     imsave(args.output / "overlay.png", overlay_picture(result, width, height)[::-1])
     imsave(args.output / "heat.png", overlay_picture(result, width, height, ("active", "culled"), heat_map=True)[::-1])
     scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples = RENDER
     bpy.ops.lipac.difference()
-    for label, text in panel.rows_of_difference(results.differences[scene.session_uid, scene.frame_current]):
+    for label, text in figures.rows_of_difference(results.differences[scene.session_uid, scene.frame_current]):
         print(f"{label}: {text}")
     imsave(args.output / "difference.png", difference_picture()[::-1])
     return 0

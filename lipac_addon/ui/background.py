@@ -63,9 +63,7 @@ class AskedMeshes(Sequence["Mesh"]):
         self._closed = True
 
 
-def in_thread(
-    work: Callable[[], T], cancel: Callable[[], None], meshes: AskedMeshes | None = None, budget: float = BUDGET
-) -> Generator[None, None, T]:
+def in_thread(work: Callable[[], T], cancel: Callable[[], None], meshes: AskedMeshes | None = None, budget: float = BUDGET) -> Generator[None, None, T]:
     """A generator that has a thread do the work, serves its meshes meanwhile for up to budget seconds a step, and returns or raises what it returned or raised.
 
     When the generator is closed, cancel() is called, and it waits until the thread has ended.

@@ -9,16 +9,16 @@ import json
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from collections.abc import Generator
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from ...core.errors import Cancelled, InputError
-from . import applying, job, results
+from ...core.errors import InputError
+from . import applying, results
+from .job import Job
+from .results import Difference
 
 IMAGE = "LiPaC Difference"
 _CHILD = Path(__file__).with_name("child_render.py")
@@ -26,74 +26,34 @@ _NO_WINDOW = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # Windows would open on
 _FULL, _CULLED = "full", "culled"
 
 
-@dataclass(frozen=True)
-class Difference:
-    """Seconds and peak bytes of the full and of the culled render; mean, worst: relative change of the picture's coarse tiles, noise included."""
+class DifferenceJob(Job):
+    """Measures the difference that the result of a scene's current frame makes. difference: what was found, in the end."""
 
-    seconds: tuple[float, float]
-    peak_bytes: tuple[int, int]
-    mean: float
-    worst: float
-
-
-class DifferenceJob:
-    """Measures the difference that the result of a scene's current frame makes. progress, message, error, compiled as of `AnalysisJob`."""
+    CANCELLED = "the renders were cancelled"
+    FAILED = "measuring failed; see the console"
 
     def __init__(self, scene: bpy.types.Scene) -> None:
         """Raises InputError where the frame was not analysed."""
         result = results.at(scene)
         if result is None:
             raise InputError("analyze this frame first")
-        self.progress, self.message, self.error = 0.0, "saving copies of the file", ""
+        super().__init__(scene, "saving copies of the file")
         self.difference: Difference | None = None
-        self.done = self.cancelled = False
-        self.compiled = 0
-        self._uid, self._result = scene.session_uid, result
-        self._steps = self._run()
+        self._result = result
 
-    def step(self) -> bool:
-        """Look whether the renders go on; False when all is done, failed or cancelled."""
-        try:
-            next(self._steps)
-        except StopIteration:
-            self.done = True
-        except Cancelled:
-            self.done, self.error = True, "the renders were cancelled"
-        except (InputError, OSError) as error:
-            self.done, self.error = True, str(error)
-        except BaseException:
-            self.done, self.error = True, "measuring failed; see the console"
-            raise
-        return not self.done
-
-    def cancel(self) -> None:
-        """Ask to stop: `step` returns False soon after."""
-        self.cancelled = True
-
-    def run(self) -> None:
-        """Step to the end, without an event loop."""
-        while self.step():
-            time.sleep(0.02)
-
-    def close(self) -> None:
-        """Stop at once."""
-        self.cancelled = self.done = True
-        self._steps.close()  # type: ignore[attr-defined]
-
-    def _run(self) -> Iterator[None]:
+    def _work(self) -> Generator[None, None, None]:
         from ..pictures import read_picture
 
         yield
-        scene = job.find_scene(self._uid)
-        if scene is None:
-            raise InputError("the scene was removed")
-        with tempfile.TemporaryDirectory(prefix="lipac") as name:
-            folder = Path(name)
-            _save_copies(scene, self._result, folder)
+        yield from self._no_render()
+        name = self._scene().name
+        with tempfile.TemporaryDirectory(prefix="lipac") as place:
+            folder = Path(place)
+            _save_copies(self._scene(), self._result, folder)
             taken = []
             for k, what in enumerate((_FULL, _CULLED)):
                 self.progress, self.message = k / 2, f"rendering frame {self._result.frame}, {what}"
-                taken.append((yield from self._render(scene.name, folder, what)))
+                taken.append((yield from self._render(name, folder, what)))
             pictures = [read_picture(folder / f"{what}.exr") for what in (_FULL, _CULLED)]
         self.difference = difference_of(pictures, taken)
         results.differences[self._uid, self._result.frame] = self.difference
@@ -108,8 +68,7 @@ class DifferenceJob:
             child = subprocess.Popen([*program, str(_CHILD), "--", *arguments], stdout=log, stderr=subprocess.STDOUT, creationflags=_NO_WINDOW)
             try:
                 while child.poll() is None:
-                    if self.cancelled:
-                        raise Cancelled
+                    self._check()
                     yield
             finally:
                 child.kill()

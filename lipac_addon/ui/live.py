@@ -13,15 +13,15 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 
 from ...core.errors import InputError
-from . import job, props, results
+from . import engine, job, props, results, session
 from .background import AskedMeshes, in_thread
-from .wheels import REINSTALL
+from .viewport import LiveWorld, NotedGraph
 
 if TYPE_CHECKING:
     from ...core.change import Change
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ...core.frames import Shot
     from ...core.loop import CullingResult
     from ...core.scene import I64
-    from ..extract import ExtractedWorld, Extraction
+    from ..extract import Extraction
     from ..extract.scene import SceneReader
 
 INTERVAL = 0.04  # seconds between ticks
@@ -37,54 +37,7 @@ SERVE = 0.004  # seconds of a tick to load meshes that the thread asks for
 SHARE = 1e-4  # of the paths that must meet an instance
 BUILD_MS = 20.0  # of BLAS building to start in a round
 REST = 2  # rounds in a row that change nothing, after which there is nothing to do
-_WORLDLY = ("World", "NodeTree", "Image", "Texture")
 DUTY = 8  # times as long as it took to read the scene that nothing is read again: a scene that is slow to read leaves Blender most of its time
-
-
-@dataclass(frozen=True)
-class Listed:
-    """A data-block of the graph that changed, as `bpy.types.DepsgraphUpdate` says it."""
-
-    id: Any
-    is_updated_geometry: bool
-
-
-class NotedGraph:
-    """The viewport's dependency graph, with all that changed since it was last read (Blender keeps no more than the latest), and without what renders hide."""
-
-    def __init__(self, depsgraph: bpy.types.Depsgraph, noted: dict[int, bool]) -> None:
-        """noted: by the address of a data-block, whether its geometry changed."""
-        self._depsgraph = depsgraph
-        found = [(block, noted.get(block.as_pointer())) for block in depsgraph.ids] if noted else []
-        self.updates = [Listed(block, geometry) for block, geometry in found if geometry is not None]
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._depsgraph, name)
-
-    @property
-    def objects(self) -> Iterator[Any]:
-        """Objects of the viewport that a render shows, too."""
-        layer = self._depsgraph.view_layer.layer_collection
-        unseen = {ob.name_full for c in _hidden(layer) for ob in c.all_objects}
-        if unseen:
-            unseen -= {ob.name_full for c in _rendered(layer) for ob in c.objects}
-        return (item for item in self._depsgraph.objects if not item.hide_render and item.name_full not in unseen)
-
-
-def _hidden(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Collection]:
-    """Collections of a view layer that renders hide, the topmost of each branch."""
-    if layer.collection.hide_render:
-        yield layer.collection
-        return
-    for child in layer.children:
-        yield from _hidden(child)
-
-
-def _rendered(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Collection]:
-    if not layer.collection.hide_render:
-        yield layer.collection
-        for child in layer.children:
-            yield from _rendered(child)
 
 
 class Live:
@@ -96,14 +49,14 @@ class Live:
 
     def __init__(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
         self.uid, self.layer = scene.session_uid, layer.name
-        self.message, self.error = "loading; the first time, kernels are compiled, which takes a minute", ""
+        self.message, self.error = engine.LOADING, ""
         self.rounds, self.read_s = 0, 0.0
         self.closed = False
         self._noted: dict[int, bool] = {}
         self._dirty, self._goes_on = True, False  # something changed; the graph is the one that was read last
         self._reader: SceneReader | None = None
-        self._world: ExtractedWorld | None = None
-        self._fingerprint = ""
+        self._world = LiveWorld()
+        self._role_changes = props.role_changes
         self._frame: _Frame | None = None
         self._shot: Shot | None = None
         self._rest = 0
@@ -124,10 +77,6 @@ class Live:
             self._noted[address] = self._noted.get(address, False) or update.is_updated_geometry
             self._dirty = True
 
-    def touch(self) -> None:
-        """Something changed that no graph tells: a pin, an option."""
-        self._dirty = True
-
     def forget(self) -> None:
         """All references into Blender are about to die (undo, redo): everything is read again, and compared."""
         if self._reader is not None:
@@ -138,6 +87,8 @@ class Live:
     def tick(self) -> bool:
         """Do a little on the main thread. True where there is something new to show."""
         before = self.rounds, self.error
+        if self._role_changes != props.role_changes:
+            self._role_changes, self._dirty = props.role_changes, True
         try:
             next(self._steps, None)
         except BaseException:
@@ -155,12 +106,12 @@ class Live:
 
     def _run(self) -> Iterator[None]:
         try:
-            yield from in_thread(_load_engine, lambda: None)
-        except (ImportError, OSError) as error:
-            self.error = f"LiPaC's libraries cannot be loaded ({error}): {REINSTALL}"
+            yield from engine.load(lambda: None)
+        except InputError as error:
+            self.error = str(error)
             return
         while True:
-            scene = job.find_scene(self.uid)
+            scene = session.find_scene(self.uid)
             if scene is None or self.layer not in scene.view_layers:
                 self.error = "the scene or its view layer was removed"
                 return
@@ -200,9 +151,7 @@ class Live:
         meshes = AskedMeshes(frame.extraction.scene.meshes)
         asked, change = replace(frame.extraction.scene, meshes=meshes), frame.change
         frame.change = _still()
-        result = yield from in_thread(
-            lambda: shot.advance(asked, change, cancelled=lambda: self.closed, pinned=frame.pinned), lambda: None, meshes, SERVE
-        )
+        result = yield from in_thread(lambda: shot.advance(asked, change, cancelled=lambda: self.closed, pinned=frame.pinned), lambda: None, meshes, SERVE)
         yield
         self._show(frame, result)
 
@@ -217,38 +166,20 @@ class Live:
         layer.update()
         graph = NotedGraph(layer.depsgraph, self._noted)
         self._noted, self._dirty = {}, False
-        world = self._read_world(scene, layer, graph)
+        goes_on, self._goes_on = self._goes_on, False
+        world, rendered = self._world.read(scene, layer, graph, goes_on)
+        goes_on = goes_on and not rendered
         start = time.perf_counter()
-        self._reader, goes_on = self._reader or SceneReader(), self._goes_on
-        self._goes_on = False
+        self._reader = self._reader or SceneReader()
         number, frame = scene.frame_current, self._reader.read(graph, goes_on)
         self._goes_on, self._rest, self.error = True, 0, ""
-        uids, pins = results.session_uids(frame.keys), props.marked(props.PIN)
-        pinned = results.among(uids, pins) if pins else None
+        uids = results.session_uids(frame.keys)
         self.read_s = time.perf_counter() - start
         self._next_read = time.monotonic() + DUTY * self.read_s
         yield
         extraction = replace(self._reader.finish(frame, world), scatters={})
-        self._frame = _Frame(number, extraction, extraction.change, uids, None if pinned is None else results.instances_of(frame.keys, pinned))
+        self._frame = _Frame(number, extraction, extraction.change, uids, props.pinned(frame.keys, uids))
         yield
-
-    def _read_world(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, graph: NotedGraph) -> ExtractedWorld:
-        """The world; one that is not constant is rendered, where it is new or changed."""
-        from ..extract.world import constant_world, extract_world, fingerprint
-
-        if self._world is not None and self._goes_on and not any(part in type(u.id).__name__ for u in graph.updates for part in _WORLDLY):
-            return self._world
-        item = getattr(graph.view_layer_eval, "world_override", None) or graph.scene_eval.world
-        world, mark = constant_world(item), ""
-        if world is None:
-            mark = fingerprint(item, scene.frame_current)
-            if self._world is None or mark != self._fingerprint:
-                world = extract_world(scene, layer)
-                layer.update()  # the render came with data-blocks of its own
-                self._goes_on = False
-        self._world, self._fingerprint = world or self._world, mark
-        assert self._world is not None
-        return self._world
 
     def _show(self, frame: _Frame, result: CullingResult) -> None:
         """Hand new states to the panel and the overlay."""
@@ -284,11 +215,6 @@ def _still() -> Change:
     return Change(None, None, nothing, nothing, False, False)
 
 
-def _load_engine() -> None:
-    """Import what the loop needs: on another thread, for it takes seconds."""
-    from ...core import frames  # noqa: F401
-
-
 def live_options(settings: props.LipacSettings) -> CullOptions:
     """The options of the scene's settings for a loop in real time: few paths and one round at a time, whose requests the next one meets."""
     options = props.cull_options(settings)
@@ -299,7 +225,7 @@ def live_options(settings: props.LipacSettings) -> CullOptions:
 
 def is_busy() -> bool:
     """Whether Blender renders, or an analysis runs: live mode waits."""
-    return bpy.app.is_job_running("RENDER") or job.is_running()
+    return session.is_rendering() or job.is_running()
 
 
 # The one that is on
@@ -338,12 +264,6 @@ def suspend() -> None:
     current = None
 
 
-def touch() -> None:
-    """Something changed that no dependency graph tells."""
-    if current is not None:
-        current.touch()
-
-
 def tick() -> float:
     """Called by Blender's timer; returns the seconds until the next call."""
     global current  # noqa: PLW0603
@@ -354,5 +274,5 @@ def tick() -> float:
             suspend()
             current = Live(window.scene, window.view_layer)
         if current.tick():
-            props.redraw()
+            session.redraw()
     return INTERVAL

@@ -1,4 +1,4 @@
-"""Operators: analyse, live, bake, apply, restore, measure, mark."""
+"""Operators: analyse, live, bake, apply, restore, measure, mark, clear the cache. Each first line of a docstring is a tooltip."""
 
 from __future__ import annotations
 
@@ -7,112 +7,22 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import EnumProperty
 
-from ...core.errors import InputError
-from . import applying, job, live, props, results, wheels
+from . import applying, engine, job, kernels, live, props, results, session
+from .analysis import AnalysisJob
 from .difference import DifferenceJob
+from .modal import BUSY, Explained, JobOperator
 
-BUSY = "An analysis is running; Esc cancels it"
-INTERVAL = 0.05  # seconds between steps of an analysis
-
-
-class _Modal:
-    """An operator that steps a job beside the user's work. `make` begins it, `finish` says what came of it."""
-
-    job: Any
-    bl_label: str
-    bl_options: ClassVar[set[str]] = {"REGISTER"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if wheels.missing():
-            cls.poll_message_set(f"missing: {', '.join(wheels.missing())}; {wheels.REINSTALL}")  # type: ignore[attr-defined]
-        elif job.is_running():
-            cls.poll_message_set(BUSY)  # type: ignore[attr-defined]
-        elif context.scene.camera is None:
-            cls.poll_message_set("The scene has no active camera")  # type: ignore[attr-defined]
-        else:
-            return True
-        return False
-
-    def make(self, context: bpy.types.Context) -> Any:
-        """The job."""
-        raise NotImplementedError
-
-    def said(self) -> str:
-        """A line about the job that has succeeded."""
-        raise NotImplementedError
-
-    def begin(self, context: bpy.types.Context) -> set[str]:
-        """Start the job; where that cannot be, say why."""
-        try:
-            self.job = job.start(lambda: self.make(context))
-        except InputError as error:
-            self.report({"ERROR"}, str(error))  # type: ignore[attr-defined]
-            return {"CANCELLED"}
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """For scripts: return when it is done."""
-        if self.begin(context) == {"CANCELLED"}:
-            return {"CANCELLED"}
-        self.job.run()
-        return self.finish(context)
-
-    def invoke(self, context: bpy.types.Context, _event: Any) -> set[str]:
-        """From the panel: beside the user's work."""
-        begun = self.begin(context)
-        if begun == {"RUNNING_MODAL"}:
-            self.timer = context.window_manager.event_timer_add(INTERVAL, window=context.window)
-            context.window_manager.modal_handler_add(self)
-        return begun
-
-    def modal(self, context: bpy.types.Context, event: Any) -> set[str]:
-        """Step the job at each tick of the timer."""
-        ended = self.job is not job.running  # by a file that was opened
-        if ended:
-            context.window_manager.event_timer_remove(self.timer)
-            return {"CANCELLED"}
-        if event.type == "ESC":
-            self.job.cancel()
-            return {"RUNNING_MODAL"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        props.redraw()
-        going = False
-        try:
-            going = self.job.step()
-        finally:  # also after an error of ours, which Blender shows
-            if not going:
-                context.window_manager.event_timer_remove(self.timer)
-        return {"PASS_THROUGH"} if going else self.finish(context)
-
-    def cancel(self, _context: bpy.types.Context) -> None:
-        """Called when the window closes."""
-        self.job.close()
-
-    def wrote(self) -> bool:
-        """Whether the file is other than before, which is a step of undo."""
-        return False
-
-    def finish(self, _context: bpy.types.Context) -> set[str]:
-        """Report how it ended."""
-        if self.wrote():
-            bpy.ops.ed.undo_push(message=self.bl_label)
-        if self.job.error:
-            self.report({"WARNING" if self.job.cancelled else "ERROR"}, self.job.error)  # type: ignore[attr-defined]
-            return {"CANCELLED"}
-        self.report({"INFO"}, self.said())  # type: ignore[attr-defined]
-        return {"FINISHED"}
+_UNANALYZED = "Analyze this frame first"
 
 
-class LIPAC_OT_analyze(_Modal, bpy.types.Operator):
+class LIPAC_OT_analyze(JobOperator, bpy.types.Operator):
     """Find out which instances the picture needs, by tracing light paths. Nothing is hidden yet. Esc cancels"""
 
     bl_idname = "lipac.analyze"
     bl_label = "Analyze"
 
-    def make(self, context: bpy.types.Context) -> job.AnalysisJob:
-        return job.AnalysisJob(context.scene)
+    def make(self, context: bpy.types.Context) -> AnalysisJob:
+        return AnalysisJob(context.scene)
 
     def said(self) -> str:
         culled = [int(r.culled.sum()) for r in self.job.results.values()]
@@ -124,14 +34,14 @@ class LIPAC_OT_analyze(_Modal, bpy.types.Operator):
         return self.job.was_applied
 
 
-class LIPAC_OT_bake_shot(_Modal, bpy.types.Operator):
+class LIPAC_OT_bake_shot(JobOperator, bpy.types.Operator):
     """Analyze all frames of the scene's range, and hide from renders what none of them needs, until Restore. Nothing flickers. Esc cancels"""
 
     bl_idname = "lipac.bake_shot"
     bl_label = "Bake Shot"
 
-    def make(self, context: bpy.types.Context) -> job.AnalysisJob:
-        return job.AnalysisJob(context.scene, job.frame_range(context.scene), bake=True)
+    def make(self, context: bpy.types.Context) -> AnalysisJob:
+        return AnalysisJob(context.scene, props.frame_range(context.scene), bake=True)
 
     def said(self) -> str:
         kept, total = self.job.baked
@@ -141,23 +51,17 @@ class LIPAC_OT_bake_shot(_Modal, bpy.types.Operator):
         return self.job.was_applied or self.job.baked is not None
 
 
-class LIPAC_OT_difference(_Modal, bpy.types.Operator):
+class LIPAC_OT_difference(JobOperator, bpy.types.Operator):
     """Render this frame in full and culled, and measure what culling saves and changes. The difference is an image of the file. Esc cancels"""
 
     bl_idname = "lipac.difference"
     bl_label = "Render Difference"
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        if results.at(context.scene) is None:
-            cls.poll_message_set("Analyze this frame first")
-            return False
-        if any(scene.lipac.applied for scene in bpy.data.scenes):
-            cls.poll_message_set("Restore first: the frame is to be rendered in full, too")
-            return False
-        return True
+    def obstacle(cls, context: bpy.types.Context) -> str:
+        applied = any(scene.lipac.applied for scene in bpy.data.scenes)
+        own = _unanalyzed(context) or ("Restore first: the frame is to be rendered in full, too" if applied else "")
+        return super().obstacle(context) or own
 
     def make(self, context: bpy.types.Context) -> DifferenceJob:
         return DifferenceJob(context.scene)
@@ -168,7 +72,7 @@ class LIPAC_OT_difference(_Modal, bpy.types.Operator):
         return f"{full:.1f} s in full, {culled:.1f} s culled; the picture changes by {100 * found.mean:.2f} %"
 
 
-class LIPAC_OT_live(bpy.types.Operator):
+class LIPAC_OT_live(Explained, bpy.types.Operator):
     """Keep analyzing what the viewport shows, while you work and play back; the overlay follows. Renders go by Analyze"""
 
     bl_idname = "lipac.live"
@@ -176,10 +80,8 @@ class LIPAC_OT_live(bpy.types.Operator):
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     @classmethod
-    def poll(cls, _context: bpy.types.Context) -> bool:
-        if wheels.missing():
-            cls.poll_message_set(f"missing: {', '.join(wheels.missing())}; {wheels.REINSTALL}")
-        return not wheels.missing()
+    def obstacle(cls, _context: bpy.types.Context) -> str:
+        return engine.obstacle()
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if live.is_on():
@@ -187,11 +89,11 @@ class LIPAC_OT_live(bpy.types.Operator):
         else:
             live.start()
             context.scene.lipac.show_overlay = True
-        props.redraw()
+        session.redraw()
         return {"FINISHED"}
 
 
-class LIPAC_OT_apply(bpy.types.Operator):
+class LIPAC_OT_apply(Explained, bpy.types.Operator):
     """Hide culled instances from renders of this file, until Restore. The viewport does not change"""
 
     bl_idname = "lipac.apply"
@@ -199,28 +101,18 @@ class LIPAC_OT_apply(bpy.types.Operator):
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if results.at(context.scene) is None:
-            cls.poll_message_set("Analyze this frame first")
-            return False
-        if job.is_running():
-            cls.poll_message_set(BUSY)
-            return False
-        return True
+    def obstacle(cls, context: bpy.types.Context) -> str:
+        return _unanalyzed(context) or _occupied()
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        result = results.at(context.scene)
-        if result is None:
-            self.report({"ERROR"}, "analyze this frame first")
-            return {"CANCELLED"}
-        applied = applying.apply(context.scene, result)
+        applied = applying.apply(context.scene, results.of(context.scene)[context.scene.frame_current])
         self.report({"INFO"}, f"Hidden from renders: {int(applied.removed.sum()):,} instances")
         for line in applying.notes:
             self.report({"WARNING"}, line)
         return {"FINISHED"}
 
 
-class LIPAC_OT_restore(bpy.types.Operator):
+class LIPAC_OT_restore(Explained, bpy.types.Operator):
     """Show everything in renders again, as you had set it; also what a crash or another scene left hidden"""
 
     bl_idname = "lipac.restore"
@@ -228,11 +120,8 @@ class LIPAC_OT_restore(bpy.types.Operator):
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, _context: bpy.types.Context) -> bool:
-        if job.is_running():
-            cls.poll_message_set(BUSY)
-            return False
-        return True
+    def obstacle(cls, _context: bpy.types.Context) -> str:
+        return _occupied()
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
         if not applying.restore():
@@ -242,7 +131,7 @@ class LIPAC_OT_restore(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class LIPAC_OT_mark(bpy.types.Operator):
+class LIPAC_OT_mark(Explained, bpy.types.Operator):
     """Set what LiPaC may do with all selected objects"""
 
     bl_idname = "lipac.mark"
@@ -252,11 +141,8 @@ class LIPAC_OT_mark(bpy.types.Operator):
     role: EnumProperty(name="Culling", description="Whether the analysis may cull them", items=props.ROLES)  # type: ignore[valid-type]
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not context.selected_objects:
-            cls.poll_message_set("Select objects first")
-            return False
-        return True
+    def obstacle(cls, context: bpy.types.Context) -> str:
+        return "" if context.selected_objects else "Select objects first"
 
     @classmethod
     def description(cls, _context: bpy.types.Context, properties: Any) -> str:
@@ -271,7 +157,35 @@ class LIPAC_OT_mark(bpy.types.Operator):
         return {"FINISHED"} if editable else {"CANCELLED"}
 
 
-_CLASSES = (LIPAC_OT_analyze, LIPAC_OT_live, LIPAC_OT_bake_shot, LIPAC_OT_apply, LIPAC_OT_restore, LIPAC_OT_difference, LIPAC_OT_mark)
+class LIPAC_OT_clear_cache(Explained, bpy.types.Operator):
+    """Remove compiled kernels from the disk. The next start of Blender compiles them again, which takes a minute"""
+
+    bl_idname = "lipac.clear_cache"
+    bl_label = "Clear Cache"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    @classmethod
+    def obstacle(cls, _context: bpy.types.Context) -> str:
+        return BUSY if job.is_running() else ""
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        self.report({"INFO"}, f"Removed {kernels.clear() / 1e6:.0f} MB of compiled kernels")
+        return {"FINISHED"}
+
+
+def _unanalyzed(context: bpy.types.Context) -> str:
+    return _UNANALYZED if results.at(context.scene) is None else ""
+
+
+def _occupied() -> str:
+    """Why what renders show cannot be changed now."""
+    return BUSY if job.is_running() else ""
+
+
+_CLASSES = (
+    *(LIPAC_OT_analyze, LIPAC_OT_live, LIPAC_OT_bake_shot, LIPAC_OT_apply, LIPAC_OT_restore),
+    *(LIPAC_OT_difference, LIPAC_OT_mark, LIPAC_OT_clear_cache),
+)
 
 
 def register() -> None:
@@ -281,7 +195,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Forget all results; unregister the operators."""
-    results.clear()
+    """Unregister the operators."""
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

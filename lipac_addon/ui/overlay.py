@@ -56,7 +56,6 @@ _shader: Any = None
 _batch: Any = None
 _heat: dict[bool, Any] = {}  # colours of the heat map as textures, by whether they are linear
 _drawn: _Drawn | None = None
-_frozen: dict[int, FrameResult] = {}  # by the scene's session uid
 _handles: list[Any] = []
 uploads = 0  # how often boxes were sent to the graphics card
 
@@ -111,24 +110,14 @@ def shown(settings: Any) -> tuple[str, ...]:
 
 def source(scene: bpy.types.Scene) -> FrameResult | None:
     """The result to draw for a scene: the frozen one, else what live mode found, else that of the current frame."""
-    if scene.lipac.freeze and scene.session_uid in _frozen:
-        return _frozen[scene.session_uid]
-    return results.shown(scene)
-
-
-def freeze(scene: bpy.types.Scene, on: bool) -> None:
-    """Keep drawing the current result, or no longer."""
-    _frozen.pop(scene.session_uid, None)
-    result = results.shown(scene)
-    if on and result is not None:
-        _frozen[scene.session_uid] = result
+    frozen = results.frozen.get(scene.session_uid) if scene.lipac.freeze else None
+    return frozen or results.shown(scene)
 
 
 def forget() -> None:
-    """Let go of everything that was drawn."""
+    """Let go of what was drawn."""
     global _drawn  # noqa: PLW0603
     _drawn = None
-    _frozen.clear()
 
 
 def draw_boxes(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bpy
 
-from . import applying, job, live, props, results, wheels
+from . import applying, engine, job, live, props, results
 from .boxes import KINDS
+from .figures import LONGEST, lines, rows_of, rows_of_difference, rows_of_object
 from .operators import (
     LIPAC_OT_analyze,
     LIPAC_OT_apply,
@@ -20,99 +20,13 @@ from .operators import (
     LIPAC_OT_restore,
 )
 
-if TYPE_CHECKING:
-    from .difference import Difference
-
-_DOCS = Path(__file__).parents[2] / "docs"
-# Blender's Online Manual of a control: places in the guide
-_MANUAL = (
-    ("bpy.types.lipacsettings.show_*", "overlay"),
-    *((f"bpy.types.lipacsettings.{name}", "overlay") for name in ("opacity", "in_front", "freeze", "heat_map")),
-    ("bpy.types.lipacsettings.*", "settings"),
-    ("bpy.types.lipacrole.*", "pin-and-ignore"),
-    ("bpy.types.lipacpreferences.*", "preferences"),
-    ("bpy.ops.lipac.live", "live"),
-    ("bpy.ops.lipac.mark", "pin-and-ignore"),
-    ("bpy.ops.lipac.clear_cache", "preferences"),
-    ("bpy.ops.lipac.difference", "what-it-saves"),
-    ("bpy.ops.lipac.bake_shot", "animations-and-shots"),
-    ("bpy.ops.lipac.*", "three-clicks"),
-)
-_LONGEST = 40  # characters of a line in a sidebar of usual width
 _OWN = {"frustum": "margin", "distance": "distance", "solid-angle": "solid_angle"}
-
-
-def lines(text: str, width: int = _LONGEST) -> list[str]:
-    """A text broken into lines for labels."""
-    from textwrap import wrap
-
-    return wrap(text, width) or [""]
-
-
-def size(count: float) -> str:
-    """Bytes as people read them."""
-    for unit in ("B", "KiB", "MiB"):
-        if count < 1024:
-            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
-        count /= 1024
-    return f"{count:.1f} GiB"
-
-
-def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
-    """The figures of a result as label and text."""
-    stats = result.stats
-    total, active = int(stats["instances"]), int(stats["active"])
-    rows = [
-        ("Instances", f"{total:,}"),
-        ("Active", f"{active:,} ({100 * active / max(total, 1):.1f} %)"),
-        *([("Pending", f"{int(stats['pending']):,}")] if stats["pending"] else []),
-        ("Hitboxes", f"{int(stats['hitboxes']):,}"),
-        ("Memory of the active", size(stats["blas_bytes"] + stats["tlas_bytes"])),
-    ]
-    if "calibrated_mean" in stats:
-        for name, label in (("predicted", "Change, predicted"), ("calibrated", "Change, measured")):
-            rows.append((label, f"{100 * stats[name + '_mean']:.2f} %, worst {100 * stats[name + '_worst']:.2f} %"))
-    return rows
-
-
-def rows_of_difference(found: Difference) -> list[tuple[str, str]]:
-    """What two renders say."""
-    (full_s, culled_s), (full_b, culled_b) = found.seconds, found.peak_bytes
-    return [
-        ("Time saved", f"{full_s - culled_s:.1f} of {full_s:.1f} s"),
-        ("Memory saved", f"{size(full_b - culled_b)} of {size(full_b)}"),
-        ("Change, rendered", f"{100 * found.mean:.2f} %, worst {100 * found.worst:.2f} %"),
-    ]
-
-
-def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tuple[str, str]]:
-    """What a result says about an object, and why."""
-    reason = result.reason(ob)
-    if not reason.instances:
-        return []
-    what = "kept" if reason.kept == reason.instances else "culled" if not reason.kept else f"{reason.kept:,} of {reason.instances:,} kept"
-    rows = [("This frame", what)]
-    if not result.stats["paths"]:
-        return rows
-    if ob.lipac.role == props.PIN:
-        why = "it is pinned"
-    elif not reason.paths.any():
-        why = "no light path meets it"
-    elif not reason.kept:
-        why = "few light paths meet it: losing it stays within the budget"
-    else:
-        why = "light paths meet it"
-    rows.append(("Because", why))
-    rows += [(f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n]
-    if reason.worth > 0:
-        rows.append(("Worth at most", f"{100 * reason.worth:.3g} % of the picture"))
-    return rows
 
 
 def _table(layout: bpy.types.UILayout, rows: list[tuple[str, str]]) -> None:
     column = layout.column(align=True)
     for label, text in rows:
-        for k, line in enumerate(lines(text, _LONGEST // 2)):
+        for k, line in enumerate(lines(text, LONGEST // 2)):
             split = column.split(factor=0.45)
             split.label(text="" if k else label)
             split.label(text=line)
@@ -136,7 +50,7 @@ class _Child(_Sidebar):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        return not wheels.missing()
+        return not engine.missing()
 
 
 class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
@@ -146,10 +60,10 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.lipac
-        if wheels.missing():
+        if engine.missing():
             column = layout.column(align=True)
             column.alert = True
-            for line in lines(f"LiPaC cannot run: missing {', '.join(wheels.missing())}. Please {wheels.REINSTALL}."):
+            for line in lines(f"LiPaC cannot run: missing {', '.join(engine.missing())}. Please {engine.REINSTALL}."):
                 column.label(text=line)
             return
         layout.use_property_split = True
@@ -272,21 +186,13 @@ class LIPAC_PT_advanced(_Child, bpy.types.Panel):
 _CLASSES = (LIPAC_PT_main, LIPAC_PT_results, LIPAC_PT_object, LIPAC_PT_overlay, LIPAC_PT_advanced)
 
 
-def manual() -> tuple[str, tuple[tuple[str, str], ...]]:
-    """Where the guide explains each control: the start of all addresses, and pairs of pattern and rest. A zip brings the guide as a page for browsers."""
-    page = next((path for name in ("user-guide.html", "user-guide.md") if (path := _DOCS / name).exists()), _DOCS)
-    return page.as_uri(), tuple((pattern, f"#{place}") for pattern, place in _MANUAL)
-
-
 def register() -> None:
-    """Register the panels, and the guide as the manual of all controls."""
+    """Register the panels."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    bpy.utils.register_manual_map(manual)
 
 
 def unregister() -> None:
     """Unregister them."""
-    bpy.utils.unregister_manual_map(manual)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

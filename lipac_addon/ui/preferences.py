@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import shutil
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import bpy
 from bpy.props import FloatProperty, IntProperty, StringProperty
+
+from . import kernels
 
 ROOT = __package__.rpartition(".lipac_addon")[0]
 GIB = 1 << 30
@@ -32,6 +32,11 @@ class Defaults:
 DEFAULTS = Defaults()
 
 
+def percentage(name: str, description: str, default: float, **more: Any) -> Any:
+    """A property from 0 to 100 percent."""
+    return FloatProperty(name=name, description=description, subtype="PERCENTAGE", default=default, min=0.0, max=100.0, **more)
+
+
 class LipacPreferences(bpy.types.AddonPreferences):
     """Preferences of the add-on."""
 
@@ -51,22 +56,10 @@ class LipacPreferences(bpy.types.AddonPreferences):
         subtype="DIR_PATH",
         default=DEFAULTS.cache,
     )
-    max_error: FloatProperty(  # type: ignore[valid-type]
-        name="Error budget",
-        description="Error budget of scenes that do not set their own: how much the picture may change on average",
-        subtype="PERCENTAGE",
-        default=DEFAULTS.max_error,
-        min=0.0,
-        max=100.0,
+    max_error: percentage(  # type: ignore[valid-type]
+        "Error budget", "Error budget of scenes that do not set their own: how much the picture may change on average", DEFAULTS.max_error
     )
-    worst_error: FloatProperty(  # type: ignore[valid-type]
-        name="Worst tile",
-        description="The same for any one tile of the picture (a 16th of its width)",
-        subtype="PERCENTAGE",
-        default=DEFAULTS.worst_error,
-        min=0.0,
-        max=100.0,
-    )
+    worst_error: percentage("Worst tile", "The same for any one tile of the picture (a 16th of its width)", DEFAULTS.worst_error)  # type: ignore[valid-type]
 
     def draw(self, _context: bpy.types.Context) -> None:
         """The preferences' own page."""
@@ -76,44 +69,13 @@ class LipacPreferences(bpy.types.AddonPreferences):
             column = layout.column(align=True)
             for name in names:
                 column.prop(self, name)
-        layout.operator(LIPAC_OT_clear_cache.bl_idname, text=f"Clear Cache ({cache_bytes() / 1e6:.0f} MB)")
-
-
-class LIPAC_OT_clear_cache(bpy.types.Operator):
-    """Remove compiled kernels from the disk. The next start of Blender compiles them again, which takes a minute"""
-
-    bl_idname = "lipac.clear_cache"
-    bl_label = "Clear Cache"
-    bl_options: ClassVar[set[str]] = {"REGISTER"}
-
-    def execute(self, _context: bpy.types.Context) -> set[str]:
-        freed = cache_bytes()
-        for folder in _cached():
-            shutil.rmtree(folder, ignore_errors=True)
-        self.report({"INFO"}, f"Removed {freed / 1e6:.0f} MB of compiled kernels")
-        return {"FINISHED"}
+        layout.operator("lipac.clear_cache", text=f"Clear Cache ({kernels.size() / 1e6:.0f} MB)")
 
 
 def get() -> Any:
     """The preferences, or `DEFAULTS`."""
     addon = bpy.context.preferences.addons.get(ROOT)
     return addon.preferences if addon is not None and addon.preferences is not None else DEFAULTS
-
-
-def _cached() -> list[Path]:
-    from ...core.kernel_cache import user_cache
-
-    return list(user_cache().glob("kernels-*"))
-
-
-def cache_bytes() -> int:
-    """Size of the compiled kernels on disk."""
-    return sum(path.stat().st_size for folder in _cached() for path in folder.rglob("*") if path.is_file())
-
-
-def compiled_kernels() -> int:
-    """How many kernels have been compiled and kept."""
-    return sum(1 for folder in _cached() for _ in folder.rglob("*.nbi"))
 
 
 def _use_cache() -> None:
@@ -126,20 +88,15 @@ def _use_cache() -> None:
         os.environ[_CACHE] = bpy.utils.extension_path_user(ROOT, path="kernels", create=True)
 
 
-_CLASSES = (LIPAC_OT_clear_cache, LipacPreferences)
-
-
 def register() -> None:
     """Register the preferences, and do what they say of the cache."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
+    bpy.utils.register_class(LipacPreferences)
     _use_cache()
 
 
 def unregister() -> None:
     """Unregister them."""
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+    bpy.utils.unregister_class(LipacPreferences)
     if _given is None:
         os.environ.pop(_CACHE, None)
     else:

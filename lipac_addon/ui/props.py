@@ -8,10 +8,15 @@ from typing import TYPE_CHECKING, Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
-from . import preferences
+from . import preferences, results, session
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from ...core.culling import CullOptions
+    from ...core.scene import I64
+    from ..keys import Keys
 
 AUTO, PIN, IGNORE = "AUTO", "PIN", "IGNORE"
 ROLES = (
@@ -26,6 +31,7 @@ POLICIES = (
     ("solid-angle", "Solid angle", "Keep what looks large from the camera"),
 )
 CURRENT, RANGE = "CURRENT", "RANGE"
+role_changes = 0  # how often a role was set: no dependency graph tells
 
 
 def _lock_interface(settings: LipacSettings, _context: bpy.types.Context) -> None:
@@ -39,20 +45,17 @@ def _lock_interface(settings: LipacSettings, _context: bpy.types.Context) -> Non
 
 
 def _redraw(settings: LipacSettings, _context: bpy.types.Context) -> None:
-    redraw()
+    session.redraw()
 
 
 def _freeze(settings: LipacSettings, _context: bpy.types.Context) -> None:
-    from .overlay import freeze
-
-    freeze(settings.id_data, settings.freeze)
-    redraw()
+    results.freeze(settings.id_data, settings.freeze)
+    session.redraw()
 
 
 def _role(_owner: LipacRole, _context: bpy.types.Context) -> None:
-    from . import live
-
-    live.touch()
+    global role_changes  # noqa: PLW0603
+    role_changes += 1
 
 
 def _preferred(name: str) -> Callable[[Any, float, bool], float]:
@@ -60,34 +63,17 @@ def _preferred(name: str) -> Callable[[Any, float, bool], float]:
     return lambda _settings, value, is_set: value if is_set else getattr(preferences.get(), name)
 
 
-def redraw() -> None:
-    """Have all 3D viewports drawn again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-
-
 class LipacSettings(bpy.types.PropertyGroup):
     """Settings of a scene."""
 
     policy: EnumProperty(name="Keep", description="What decides which instances stay in the render", items=POLICIES)  # type: ignore[valid-type]
-    max_error: FloatProperty(  # type: ignore[valid-type]
-        name="Error budget",
-        description="How much the picture may change on average. Less keeps more",
-        subtype="PERCENTAGE",
-        default=1.0,
-        min=0.0,
-        max=100.0,
-        get_transform=_preferred("max_error"),
+    max_error: preferences.percentage(  # type: ignore[valid-type]
+        "Error budget", "How much the picture may change on average. Less keeps more", preferences.DEFAULTS.max_error, get_transform=_preferred("max_error")
     )
-    worst_error: FloatProperty(  # type: ignore[valid-type]
-        name="Worst tile",
-        description="How much any one tile of the picture (a 16th of its width) may change",
-        subtype="PERCENTAGE",
-        default=5.0,
-        min=0.0,
-        max=100.0,
+    worst_error: preferences.percentage(  # type: ignore[valid-type]
+        "Worst tile",
+        "How much any one tile of the picture (a 16th of its width) may change",
+        preferences.DEFAULTS.worst_error,
         get_transform=_preferred("worst_error"),
     )
     margin: FloatProperty(  # type: ignore[valid-type]
@@ -177,6 +163,22 @@ def marked(role: str) -> set[bpy.types.Object]:
         if collection.lipac.role == role:
             found.update(collection.all_objects)
     return found
+
+
+def pinned(keys: Keys, uids: I64) -> NDArray[np.bool_] | None:
+    """(N,) bool: instances that stay whatever paths meet; None where nothing is pinned. keys, uids: as of `results.FrameResult`."""
+    pins = marked(PIN)
+    return results.instances_of(keys, results.among(uids, pins)) if pins else None
+
+
+def asked_frames(scene: bpy.types.Scene) -> tuple[int, ...]:
+    """Frames that the settings of a scene ask for."""
+    return frame_range(scene) if scene.lipac.frames == RANGE else (scene.frame_current,)
+
+
+def frame_range(scene: bpy.types.Scene) -> tuple[int, ...]:
+    """The scene's frames, with its step."""
+    return tuple(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
 
 
 def register() -> None:

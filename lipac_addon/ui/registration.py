@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import atexit
 
-from . import handlers, job, live, operators, overlay, panel, props
+from . import handlers, job, live, manual, operators, overlay, panel, props, results
 
-_MODULES = (props, operators, panel, overlay, handlers)
+_MODULES = (props, operators, panel, manual, overlay, handlers)
 
 
 def register() -> None:
@@ -20,6 +20,7 @@ def unregister() -> None:
     """Stop a running analysis and remove everything that `register` added. What was applied to a file stays in it: the file has the record."""
     atexit.unregister(_stop)
     _stop()
+    results.clear()
     for module in reversed(_MODULES):
         module.unregister()
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ...core.loop import CullingResult
     from ...core.scene import F32, F64, I64, U8
     from ..extract import Extraction
-    from .difference import Difference
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
 CULLED, PENDING, ACTIVE = 0, 1, 2  # core.culling.State, without loading the engine
@@ -97,6 +96,16 @@ class FrameResult:
         return self._reasons[key]
 
 
+@dataclass(frozen=True)
+class Difference:
+    """Seconds and peak bytes of the full and of the culled render; mean, worst: relative change of the picture's coarse tiles, noise included."""
+
+    seconds: tuple[float, float]
+    peak_bytes: tuple[int, int]
+    mean: float
+    worst: float
+
+
 def among(uids: I64, objects: Collection[bpy.types.Object]) -> NDArray[np.bool_]:
     """(names,) bool: which session uids are those of some objects."""
     return np.isin(uids, np.fromiter((ob.session_uid for ob in objects), np.int64, len(objects)))
@@ -114,9 +123,12 @@ def session_uids(keys: Keys) -> I64:
     return np.array([now.get(name, -1) for name in keys.names], np.int64)
 
 
+# What is known of the open file, by the scene's session uid
+
 _results: dict[int, dict[int, FrameResult]] = {}
-differences: dict[tuple[int, int], Difference] = {}  # what was measured, by the scene's session uid and frame
-live: dict[int, FrameResult] = {}  # what live mode shows, by the scene's session uid
+differences: dict[tuple[int, int], Difference] = {}  # what was measured, by scene and frame
+live: dict[int, FrameResult] = {}  # what live mode shows
+frozen: dict[int, FrameResult] = {}  # what the overlay keeps showing
 
 
 def put(scene: bpy.types.Scene, frames: dict[int, FrameResult]) -> None:
@@ -160,8 +172,15 @@ def shown(scene: bpy.types.Scene) -> FrameResult | None:
     return live.get(scene.session_uid) or at(scene)
 
 
+def freeze(scene: bpy.types.Scene, on: bool) -> None:
+    """Have the overlay keep showing what it shows now, or no longer."""
+    frozen.pop(scene.session_uid, None)
+    result = shown(scene)
+    if on and result is not None:
+        frozen[scene.session_uid] = result
+
+
 def clear() -> None:
     """Forget all."""
-    _results.clear()
-    differences.clear()
-    live.clear()
+    for known in (_results, differences, live, frozen):
+        known.clear()

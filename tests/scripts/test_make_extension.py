@@ -42,8 +42,8 @@ bpy.ops.render.render(write_still=True)
 assert os.path.getsize(scene.render.filepath) > 500
 assert bpy.ops.lipac.restore() == {"FINISHED"}
 assert state() == before
-panel = importlib.import_module("bl_ext.user_default.lipac.lipac_addon.ui.panel")
-page, places = panel.manual()
+manual = importlib.import_module("bl_ext.user_default.lipac.lipac_addon.ui.manual")
+page, places = manual.manual()
 html = open(page.removeprefix("file://")).read()
 assert page.endswith("user-guide.html")
 assert all(f'id="{place[1:]}"' in html for _, place in places)

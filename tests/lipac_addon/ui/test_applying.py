@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lipac.lipac_addon.ui import applying, job, results
-from lipac.lipac_addon.ui.job import AnalysisJob
+from lipac.lipac_addon.ui.analysis import AnalysisJob
 from lipac.tests.lipac_addon.writeback.conftest import Census, link, points, scatter, triangle
 
 FAR = {"box4", "box5", "box6", "box7"}

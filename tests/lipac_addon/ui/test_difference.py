@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.lipac_addon.ui import difference, job, panel, results
+from lipac.lipac_addon.ui import difference, figures, job, results
 from lipac.lipac_addon.ui.difference import DifferenceJob, difference_of
 
 
@@ -20,7 +20,7 @@ def test_what_culling_saves_and_changes(analyzed, hidden, snapshot):
     assert hidden() == set()
     image = bpy.data.images[difference.IMAGE]
     assert tuple(image.size) == (64, 36)
-    assert any("Time saved" in label for label, _ in panel.rows_of_difference(found))
+    assert any("Time saved" in label for label, _ in figures.rows_of_difference(found))
     bpy.data.images.remove(image)
     after = snapshot()
     assert (after["values"], after["modifiers"]) == (before["values"], before["modifiers"])
@@ -45,7 +45,7 @@ def test_figures():
     culled[0, 0, :3] = 0.5
     found = difference_of([full, culled], [{"seconds": 4.0, "peak_bytes": 3e9}, {"seconds": 1.5, "peak_bytes": 1e9}])
     assert (found.worst, found.mean) == (pytest.approx(0.5), pytest.approx(0.5 / 144))
-    assert dict(panel.rows_of_difference(found))["Time saved"] == "2.5 of 4.0 s"
+    assert dict(figures.rows_of_difference(found))["Time saved"] == "2.5 of 4.0 s"
 
 
 def test_cancelled(analyzed):

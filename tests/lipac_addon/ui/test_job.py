@@ -8,7 +8,8 @@ import pytest
 
 from lipac.core.errors import Cancelled, InputError
 from lipac.lipac_addon.ui import job, results
-from lipac.lipac_addon.ui.job import AnalysisJob, AskedMeshes
+from lipac.lipac_addon.ui.analysis import AnalysisJob
+from lipac.lipac_addon.ui.background import AskedMeshes
 
 
 def test_light_paths_keep_what_they_meet(scene):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lipac.lipac_addon.ui import job, live, overlay, props, results
+from lipac.lipac_addon.ui.analysis import AnalysisJob
 from lipac.tests.lipac_addon.writeback.conftest import link, points, scatter, triangle
 
 FAR = {"box4", "box5", "box6", "box7"}
@@ -247,7 +248,7 @@ def test_a_scatter_that_changes(watched):
 
 
 def test_analyze_while_live(watched):
-    running = job.start(lambda: job.AnalysisJob(watched))
+    running = job.start(lambda: AnalysisJob(watched))
     running.step()
     settled = live.current
     live.tick()
@@ -276,14 +277,14 @@ def test_a_world_that_is_rendered(watched):
     tree.links.new(sky.outputs[0], tree.nodes["Background"].inputs["Color"])
     edit(lambda: None)
     settle()
-    world = live.current._world
+    world = live.current._world.world
     assert world.world.image is not None
     edit(lambda: setattr(bpy.data.objects["box0"], "location", (0, 1, 0.5)))
     settle()
-    assert live.current._world is world  # rendered once
+    assert live.current._world.world is world  # rendered once
     edit(lambda: setattr(tree.nodes["Background"].inputs["Strength"], "default_value", 2.0))
     settle()
-    np.testing.assert_allclose(live.current._world.world.image.mean(), 2 * world.world.image.mean(), rtol=0.05)
+    np.testing.assert_allclose(live.current._world.world.world.image.mean(), 2 * world.world.image.mean(), rtol=0.05)
 
 
 def test_the_operator_switches_it(scene):

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from lipac.lipac_addon.ui import job, operators, results, wheels
+from lipac.lipac_addon.ui import engine, job, operators, results
+from lipac.lipac_addon.ui.analysis import AnalysisJob
 
 FAR = {"box4", "box5", "box6", "box7"}
 
@@ -107,11 +108,11 @@ def test_linked_objects_and_overrides(scene, boxes_file, hidden):
 def test_polls(scene, monkeypatch):
     assert bpy.ops.lipac.analyze.poll()
     assert not bpy.ops.lipac.apply.poll()
-    job.start(lambda: job.AnalysisJob(scene)).step()
+    job.start(lambda: AnalysisJob(scene)).step()
     assert not any(op.poll() for op in (bpy.ops.lipac.analyze, bpy.ops.lipac.apply, bpy.ops.lipac.restore))
     job.stop()
     assert bpy.ops.lipac.restore.poll()
-    monkeypatch.setattr(wheels, "missing", lambda: ("numba",))
+    monkeypatch.setattr(engine, "missing", lambda: ("numba",))
     assert not bpy.ops.lipac.analyze.poll()
     monkeypatch.undo()
     scene.camera = None
@@ -124,7 +125,7 @@ class Modal:
     modal, finish, wrote, said = (getattr(operators.LIPAC_OT_analyze, name) for name in ("modal", "finish", "wrote", "said"))
 
     def __init__(self, scene):
-        self.job, self.timer, self.heard = job.start(lambda: job.AnalysisJob(scene)), None, []
+        self.job, self.timer, self.heard = job.start(lambda: AnalysisJob(scene)), None, []
         manager = SimpleNamespace(event_timer_remove=lambda timer: self.heard.append("timer removed"))
         self.context = SimpleNamespace(window_manager=manager, scene=scene)
 
@@ -169,7 +170,7 @@ def test_a_broken_library_is_one_line(scene, monkeypatch, wreck):
     def broken():
         raise wreck
 
-    monkeypatch.setattr(job, "_load_engine", broken)
+    monkeypatch.setattr(engine, "_import", broken)
     with pytest.raises(RuntimeError, match="made for this platform"):
         bpy.ops.lipac.analyze()
 
@@ -178,7 +179,7 @@ def test_an_error_of_ours_leaves_no_timer(scene, monkeypatch):
     def broken():
         raise ZeroDivisionError
 
-    monkeypatch.setattr(job, "_load_engine", broken)
+    monkeypatch.setattr(engine, "_import", broken)
     modal = Modal(scene)
     with pytest.raises(ZeroDivisionError):
         modal.until_done()

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from lipac.lipac_addon.ui import applying, job, live, panel, results, wheels
-from lipac.lipac_addon.ui.difference import Difference
+from lipac.lipac_addon.ui import applying, engine, figures, job, live, panel, results
+from lipac.lipac_addon.ui.analysis import AnalysisJob
+from lipac.lipac_addon.ui.results import Difference
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ def test_results_and_reason(analyzed, drawn):
 
 
 def test_progress_and_error(scene, drawn):
-    running = job.start(lambda: job.AnalysisJob(scene))
+    running = job.start(lambda: AnalysisJob(scene))
     running.message = "counting sheep"
     assert "counting sheep" in drawn(panel.LIPAC_PT_main)
     running.cancel()
@@ -55,9 +56,9 @@ def test_progress_and_error(scene, drawn):
 
 
 def test_the_first_compilation_shows_that_it_goes_on(scene, drawn, monkeypatch, tmp_path):
-    monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels-3"))
     monkeypatch.setattr(job, "LOOK", 0.0)
-    running = job.start(lambda: job.AnalysisJob(scene))
+    running = job.start(lambda: AnalysisJob(scene))
     running.step()
     assert "Compiling" not in drawn(panel.LIPAC_PT_main)
     folder = tmp_path / "kernels-3" / "core"
@@ -77,7 +78,7 @@ def test_no_active_object_and_no_camera(scene, drawn):
 
 
 def test_missing_libraries_are_named(scene, drawn, monkeypatch):
-    monkeypatch.setattr(wheels, "missing", lambda: ("numba", "embreex"))
+    monkeypatch.setattr(engine, "missing", lambda: ("numba", "embreex"))
     text = drawn(panel.LIPAC_PT_main)
     assert "missing" in text
     assert "embreex" in text
@@ -86,19 +87,19 @@ def test_missing_libraries_are_named(scene, drawn, monkeypatch):
 
 
 def test_libraries_that_python_cannot_find(monkeypatch):
-    monkeypatch.setattr(wheels, "find_spec", lambda name: None if name == "llvmlite" else name)
-    assert wheels.missing.__wrapped__() == ("llvmlite",)
+    monkeypatch.setattr(engine, "find_spec", lambda name: None if name == "llvmlite" else name)
+    assert engine.missing.__wrapped__() == ("llvmlite",)
 
 
 def test_figures(analyzed):
     result = results.at(analyzed)
     result.stats.update(blas_bytes=3 << 20, tlas_bytes=1 << 19, predicted_mean=0.002, predicted_worst=0.01, calibrated_mean=0.004, calibrated_worst=0.02)
-    rows = dict(panel.rows_of(result))
+    rows = dict(figures.rows_of(result))
     assert rows["Instances"] == "10"
     assert rows["Memory of the active"] == "3.5 MiB"
     assert rows["Change, predicted"] == "0.20 %, worst 1.00 %"
     assert rows["Change, measured"] == "0.40 %, worst 2.00 %"
-    assert [panel.size(n) for n in (0, 1023, 1024, 5 << 30)] == ["0 B", "1023 B", "1.0 KiB", "5.0 GiB"]
+    assert [figures.size(n) for n in (0, 1023, 1024, 5 << 30)] == ["0 B", "1023 B", "1.0 KiB", "5.0 GiB"]
 
 
 def test_why(scene, drawn):

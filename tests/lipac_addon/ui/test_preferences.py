@@ -55,7 +55,7 @@ def test_a_memory_budget_is_kept(preferred, scene):
 
 CACHE = """
 import os, sys, bpy, lipac
-from lipac.lipac_addon.ui import preferences
+from lipac.lipac_addon.ui import kernels, preferences
 addon = bpy.context.preferences.addons.new()
 addon.module = "lipac"
 bpy.utils.register_class(preferences.LipacPreferences)
@@ -66,9 +66,9 @@ from lipac.core.kernel_cache import user_cache
 assert str(user_cache()) == sys.argv[1], user_cache()
 folder = next(user_cache().glob("kernels-*"))
 (folder / "a.nbi").write_bytes(bytes(1000))
-assert preferences.cache_bytes() == 1000
+assert kernels.size() == 1000
 assert bpy.ops.lipac.clear_cache() == {"FINISHED"}
-assert preferences.cache_bytes() == 0 and not folder.exists()
+assert kernels.size() == 0 and not folder.exists()
 lipac.unregister()
 assert "LIPAC_CACHE_DIR" not in os.environ
 print("DONE")

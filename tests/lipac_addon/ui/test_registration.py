@@ -11,10 +11,10 @@ import bpy
 import pytest
 
 import lipac
-from lipac.lipac_addon.ui import operators, overlay, panel, preferences, props
+from lipac.lipac_addon.ui import manual, operators, overlay, panel, preferences, props
 
 GROUPS = (props.LipacSettings, props.LipacRole, preferences.LipacPreferences)
-OPERATORS = (*operators._CLASSES, preferences.LIPAC_OT_clear_cache)
+OPERATORS = operators._CLASSES
 OWNERS = (bpy.types.Scene, bpy.types.Object, bpy.types.Collection)
 
 
@@ -48,7 +48,7 @@ def test_every_control_has_a_place_in_the_guide(ui):
     """Blender's Online Manual looks for the first pattern that matches the control's name in lower case."""
     guide = Path(lipac.__file__).parent / "docs" / "user-guide.md"
     places = {re.sub(r"[^a-z]+", "-", line.lstrip("# ").lower()) for line in guide.read_text().splitlines() if line.startswith("#")}
-    page, entries = panel.manual()
+    page, entries = manual.manual()
     assert page.startswith("file://")
     names = [f"bpy.types.{group.__name__}.{p.identifier}" for group in GROUPS for p in own_properties(group)]
     names += [f"bpy.ops.{cls.bl_idname}" for cls in OPERATORS]

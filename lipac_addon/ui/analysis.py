@@ -1,0 +1,129 @@
+"""An analysis beside Blender: it reads the file on the main thread, frame by frame, and computes in a thread (`background`)."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ...core.errors import InputError
+from . import applying, engine, props, results, scatters, session
+from .background import AskedMeshes, in_thread
+from .job import Job
+
+if TYPE_CHECKING:
+    from ...core.frames import Shot
+    from ..extract import Extraction, Extractor
+
+
+class AnalysisJob(Job):
+    """The analysis of some frames of a scene.
+
+    results: by frame, in the end; was_applied: renders were culled before, and are culled anew; baked: instances that some frame needs, and of all.
+    """
+
+    CANCELLED = "the analysis was cancelled"
+    FAILED = "the analysis failed; see the console"
+
+    def __init__(self, scene: bpy.types.Scene, frames: Sequence[int] | None = None, bake: bool = False) -> None:
+        """frames: None takes those that the scene's settings ask for. bake: apply one set for all of them."""
+        super().__init__(scene, "starting")
+        self.results: dict[int, results.FrameResult] = {}
+        self.was_applied = False
+        self.baked: tuple[int, int] | None = None
+        self._bake = bake
+        self._extractor: Extractor | None = None  # these two go from frame to frame: what did not change is not analysed again
+        self._shot: Shot | None = None
+        self._frames = tuple(frames) if frames is not None else props.asked_frames(scene)
+
+    def _work(self) -> Generator[None, None, None]:
+        self.message = engine.LOADING
+        yield
+        yield from engine.load(self.cancel)
+        yield from self._no_render()
+        self._check()
+        scene = self._scene()
+        frame, self.was_applied = scene.frame_current, scene.lipac.applied
+        if self.was_applied:
+            applying.restore()
+        try:
+            try:
+                self.results = yield from self._analyse_all()
+            finally:
+                self._extractor = self._shot = None  # their memory
+        except Exception:
+            yield from self._render_ended()
+            raise
+        else:
+            yield from self._render_ended()
+        finally:
+            self._finish(frame)
+        self.progress, self.message = 1.0, "done"
+
+    def _finish(self, frame: int) -> None:
+        """Keep the results, go back to the frame that was current, and cull renders again where they were culled before."""
+        scene = session.find_scene(self._uid)
+        if scene is None:
+            return
+        if self.results:
+            results.put(scene, self.results)
+        if scene.frame_current != frame:
+            scene.frame_set(frame)
+        result = results.at(scene)
+        if self._bake and self.results:
+            shot = results.union(self.results.values())
+            applying.apply(scene, shot)
+            self.baked = int((~shot.culled).sum()), len(shot.culled)
+        elif self.was_applied and result is not None:
+            applying.apply(scene, result)
+
+    def _analyse_all(self) -> Generator[None, None, dict[int, results.FrameResult]]:
+        """All frames, one after another."""
+        found = {}
+        try:
+            for k, number in enumerate(self._frames):
+                found[number] = yield from self._analyse(number, k)
+        except MemoryError as error:
+            raise InputError("the analysis ran out of memory: raise the error budget, or simplify the scene") from error
+        return found
+
+    def _analyse(self, number: int, k: int) -> Generator[None, None, results.FrameResult]:
+        """A frame."""
+        from ...core.frames import Shot
+
+        n = len(self._frames)
+        name = f"frame {number}: " if n > 1 else ""
+        self.message = f"{name}reading the scene"
+        yield
+        yield from self._no_render()
+        scene = self._scene()
+        extraction = self._extract(scene, number)
+        uids = results.session_uids(extraction.keys)
+        pinned = props.pinned(extraction.keys, uids)
+        hosts = [uid for name, uid in zip(extraction.keys.names, uids.tolist(), strict=True) if name in extraction.scatters]
+        prints = scatters.prints_of(scene, hosts)
+        shot = self._shot = self._shot or Shot(props.cull_options(scene.lipac))
+        meshes = AskedMeshes(extraction.scene.meshes)
+
+        def report(fraction: float, what: str) -> None:
+            self.progress, self.message = (k + fraction) / n, name + what
+
+        asked = replace(extraction.scene, meshes=meshes)
+        result = yield from in_thread(lambda: shot.advance(asked, extraction.change, report, lambda: self.cancelled, pinned), self.cancel, meshes)
+        self._check()
+        return replace(results.FrameResult.of(number, extraction, uids, result), prints=prints)
+
+    def _extract(self, scene: bpy.types.Scene, number: int) -> Extraction:
+        """What a render sees of the frame."""
+        from ..extract import Extractor
+
+        self._extractor = self._extractor or Extractor(scene)
+        self._extractor.follow(scene)
+        layers = [layer.name for layer in scene.view_layers if layer.use]
+        extraction = self._extractor.frame(number, keep=False)
+        if len(layers) > 1:
+            line = f"only view layer '{layers[0]}' was analysed: what others alone show may be culled"
+            extraction = replace(extraction, warnings=(*extraction.warnings, line))
+        return extraction
