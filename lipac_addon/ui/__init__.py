@@ -7,6 +7,6 @@ Modules by layers, each importing from those above it alone:
 - What is done: `applying` (write-back), `job` (the one that runs), `analysis` and `difference` (jobs), `viewport` and `live` (beside the user's work).
 - What Blender calls: `overlay`, `modal` and `operators`, `handlers`, `panel`, `manual`; all are added and taken away by `registration`.
 
-Data flows one way: `props` -> `analysis` or `live` (read Blender on the main thread, compute in a worker) -> `results` -> `applying`, `overlay`, `panel`. Importing a
-module loads neither numba nor Embree.
+Data flows one way: `props` -> `analysis` or `live` (read Blender on the main thread, compute in a worker) -> `results` -> `applying`, `overlay`, `panel`.
+Importing a module loads neither numba nor Embree.
 """

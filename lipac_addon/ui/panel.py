@@ -184,15 +184,4 @@ class LIPAC_PT_advanced(_Child, bpy.types.Panel):
 
 
 _CLASSES = (LIPAC_PT_main, LIPAC_PT_results, LIPAC_PT_object, LIPAC_PT_overlay, LIPAC_PT_advanced)
-
-
-def register() -> None:
-    """Register the panels."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Unregister them."""
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)
