@@ -31,7 +31,7 @@ from .scene import F32, F64, Scene
 MOST_BOXES = 1 << 17  # before lamps: 14 MB of them, built in a fifth of a second
 SURE, UNSURE = 0.02, 0.03  # mean changes of a picture up to which it is nearer to the truth than a raster without paths, and from which that is asked
 CELL = 4  # pixels of an analysis' picture, each way, that are compared as one
-DEVIATIONS = 2.0  # standard ones of a share of paths that are taken for noise
+DEVIATIONS = 2.0  # standard ones, by which a share of paths may be too large by chance
 MODES = ("path", "diffuse-1", "reflections", "none")
 
 
@@ -85,9 +85,9 @@ def share_of_paths(truth: F32, picture: F32, raster: F32) -> float:
     least as large.
 
     Weighted least squares (weights of relMSE) of means over CELL x CELL pixels of the truth, whose noise is all but gone there. The error of such a mixture is
-    a parabola over w: at its bottom it is at most that of either, and up to twice as far from 0 as the bottom at most the raster's. w is known to its
-    standard error (White, "A Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 1980); what lies within DEVIATIONS of them is 0 at the
-    one end and 1 at the other, and what is between is stretched, at most twofold: so the mixture is not worse than the raster by chance.
+    a parabola over w: at its bottom at most that of either picture, and up to twice as far from 0 as the bottom at most the raster's. The bottom is known to
+    its standard error (White, "A Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 1980), and lies DEVIATIONS of them lower in the worst
+    case; w is no more than twice that: so the mixture is not worse than the raster by chance.
 
     A function of the frame alone, and continuous: pictures that change little from frame to frame are shown by shares that do.
     """
@@ -100,7 +100,7 @@ def share_of_paths(truth: F32, picture: F32, raster: F32) -> float:
         return 1.0
     share = float((weight * apart * wanted).sum()) / square
     noise = DEVIATIONS * float(np.sqrt(((weight * apart * (wanted - share * apart)) ** 2).sum())) / square
-    return float(np.clip((share - noise) / max(1 - 2 * noise, 0.5), 0.0, 1.0))
+    return float(np.clip(min(share, 2 * (share - noise)), 0.0, 1.0))
 
 
 def mixture(picture: F32, raster: F32, share: float) -> F32:

@@ -35,6 +35,19 @@ def samples_of(scene: bpy.types.Scene, engine: str) -> int:
     return min(scene.cycles.samples, HYBRID_SAMPLES) if engine == "hybrid" else int(scene.cycles.samples)
 
 
+def left_out(scene: bpy.types.Scene, engine: str) -> list[str]:
+    """What the scene asks of its renders and an engine of `ENGINES`, or "" for none, leaves out, a line each."""
+    out, render = [], scene.render
+    if render.use_border and engine:
+        out.append("render region: the whole picture is rendered")
+    if engine in ("hybrid", "path"):
+        if render.use_motion_blur:
+            out.append("motion blur: pictures are of one moment")
+        if render.use_compositing and scene.compositing_node_group is not None:
+            out.append("compositing: pictures are as they come out of the engine")
+    return out
+
+
 def render_blender(
     engine: str,
     stem: Path,

@@ -6,8 +6,9 @@ Blender draws on the main thread; meanwhile a worker decides what is kept, build
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,8 @@ from .console import muted
 from .pictures import save_pixels
 from .raster import opengl
 from .raster.denoise import denoise
-from .raster.first_hits import FirstHits
+from .raster.denoise import require as require_denoiser
+from .raster.first_hits import FirstHits, first_hits
 from .raster.layers import save_layers
 from .raster.passes import Passes, render_passes
 from .timeline import Timeline
@@ -71,46 +73,62 @@ def render_hybrid(
     line = Timeline()
     if options.gi == "none":
         return _without_paths(scene, options, cull, stem, line)
-    scene = hybrid.with_mode(scene, options.gi)
+    if options.denoise:
+        require_denoiser()
+    with line.stage("first hits"):
+        hits = first_hits(hybrid.with_mode(scene, options.gi), options.primary, threads)
+    scene = dataclasses.replace(hits.scene, meshes=hits.meshes)
+    choose = decide or (lambda s: analyze(s, cull, part(progress, 0.0, 0.3), cancelled))
+    tracing = _Tracing(scene, samples, seed, threads, part(progress, 0.3, 0.95), cancelled, line)
+    passes = _draw(hits, tracing, choose, _sizes(scene, cull), options, line)
+    del hits  # and what it has built
+    if cancelled():
+        raise Cancelled
+    with line.stage("combine"):
+        picture, layers = _combine(tracing.light(), passes, tracing.shown(), options.denoise, threads)
+    share = 1.0
+    if passes is not None and (asked := hybrid.in_question(tracing.result)) > 0:
+        with line.stage("comparison"):
+            truth, own = _compared(scene, options, cull, stem, cancelled)
+            share = 1 - asked * (1 - hybrid.share_of_paths(truth, picture, own))
+            picture = layers["Combined"] = hybrid.mixture(picture, own, share)
+    with line.stage("saving"):
+        if share > 0:
+            with muted():
+                save_pixels(picture, bpy.context.scene, stem)
+        _save_layers(layers, stem)
+    return tracing.result, _figures(line, tracing.rays, share)
+
+
+def _sizes(scene: Scene, cull: CullOptions) -> tuple[tuple[int, int], ...]:
+    """Of the pictures that an analysis traces."""
+    return (cull.picture_size(scene.film), cull.coarse_size(scene.film)) if cull.policy == "light-paths" else ()
+
+
+def _draw(
+    hits: FirstHits, tracing: _Tracing, choose: Callable[[Scene], CullingResult], sizes: Sequence[tuple[int, int]], options: HybridOptions, line: Timeline
+) -> Passes | None:
+    """Draw first hits and EEVEE's passes while tracing decides by `choose`, and traces. sizes: of pictures that this needs first hits of. None: no raster."""
     raster = options.primary == "raster"
     with line.stage("first hits"):
-        hits = FirstHits(scene, options.primary, threads)
-        scene = dataclasses.replace(scene, meshes=hits.meshes)
-        sizes = (cull.picture_size(scene.film), cull.coarse_size(scene.film)) if cull.policy == "light-paths" else ()
         known = {size: dataclasses.replace(hits.draw(size, 0, 1), lamps_known=raster) for size in sizes}
-    size, count = (scene.film.width, scene.film.height), min(samples, MOST_PASSES)
-    choose = decide or (lambda s: analyze(s, cull, part(progress, 0.0, 0.3), cancelled))
-    tracing = _Tracing(scene, samples, count, seed, threads, part(progress, 0.3, 0.95), cancelled, line)
+    size, count, passes = tracing.size, tracing.passes, None
     ahead = min(count, max(AHEAD_BYTES // (size[0] * size[1] * 16), 1))  # what is drawn before EEVEE begins is traced while it renders
-    passes = None
-    with ThreadPoolExecutor(1) as worker:
-        decided = worker.submit(tracing.decide, lambda: choose(dataclasses.replace(scene, first_hits=known)))
+    with ThreadPoolExecutor(1) as worker, tracing.stopping():
+        decided = worker.submit(tracing.decide, lambda: choose(dataclasses.replace(tracing.scene, first_hits=known)))
         with line.stage("first hits"):
             jobs = [worker.submit(tracing.trace, hits.draw(size, k, count), k) for k in range(ahead)]
         if raster:
             with line.stage("EEVEE"):
-                passes = render_passes(bpy.context.scene, options.raster_samples, unshadowed=len(scene.lights) > 0)
+                passes = render_passes(bpy.context.scene, options.raster_samples, unshadowed=len(tracing.scene.lights) > 0)
+        decided.result()
         for k in range(ahead, count):
             jobs[-1].result()  # no more than one waits
             with line.stage("first hits"):
                 jobs.append(worker.submit(tracing.trace, hits.draw(size, k, count), k))
-        for job in (decided, *jobs):
+        for job in jobs:
             job.result()
-    if cancelled():
-        raise Cancelled
-    result, layers = tracing.result, tracing.layers()
-    with line.stage("combine"):
-        picture = _combine(tracing.light(), passes, options.denoise, threads, layers)
-    if raster and hybrid.in_question(result):
-        with line.stage("comparison"):
-            own = _nearer_raster(scene, picture, options, cull, stem, cancelled)
-        if own is not None:
-            return result, _shown_by_raster(own, stem, line)
-    with line.stage("saving"):
-        with muted():
-            save_pixels(picture, bpy.context.scene, stem)
-        _save_layers(layers, stem)
-    return result, _figures(line, sum(p.rays for p in tracing.pictures))
+    return passes
 
 
 def _without_paths(scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, line: Timeline) -> tuple[CullingResult, dict[str, Any]]:
@@ -124,33 +142,27 @@ def _without_paths(scene: Scene, options: HybridOptions, cull: CullOptions, stem
     with line.stage("EEVEE"):
         passes = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False, save=stem)
     result = Loop(scene, cull).result(np.zeros(n, bool), np.zeros(n, np.float32), np.zeros((n, len(RayType)), np.int64))
-    return result, _shown_by_raster(passes, stem, line)
+    with line.stage("saving"):
+        _save_layers({"Combined": passes.combined} | _raster_layers(passes), stem)
+    return result, _figures(line, 0, 0.0)
 
 
-def _nearer_raster(
-    scene: Scene, picture: F32, options: HybridOptions, cull: CullOptions, stem: Path, cancelled: Callable[[], bool]
-) -> Passes | None:
-    """EEVEE's passes with all its own light, where its picture, saved as stem, is nearer to what paths show with nothing culled than picture is; else None."""
+def _compared(scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, cancelled: Callable[[], bool]) -> tuple[F32, F32]:
+    """What paths show with nothing culled (`core.hybrid.reference`), and EEVEE's picture with all its own light, (H, W, 4), which is saved as stem."""
     from ..core import hybrid
 
     with ThreadPoolExecutor(1) as worker:
         truth = worker.submit(hybrid.reference, scene, cull, cancelled)
         own = render_passes(bpy.context.scene, options.raster_samples, lamps_only=False, save=stem)
-    return None if hybrid.is_nearer(truth.result(), picture, own.combined) else own
-
-
-def _shown_by_raster(passes: Passes, stem: Path, line: Timeline) -> dict[str, Any]:
-    """Figures of a frame that EEVEE's picture shows, which is saved already; its layers are saved here."""
-    _save_layers({"Combined": passes.combined} | _raster_layers(passes), stem)
-    return {**_figures(line, 0), "raster_only": True}
+        return truth.result(), own.combined
 
 
 def _save_layers(layers: dict[str, F32], stem: Path) -> None:
     save_layers(stem.with_name(f"{stem.name}_layers.exr"), layers)
 
 
-def _figures(line: Timeline, rays: int) -> dict[str, Any]:
-    """Of the frame, for the report. render_s: of all stages but the analysis and its structures."""
+def _figures(line: Timeline, rays: int, share: float) -> dict[str, Any]:
+    """Of the frame, for the report. render_s: of all stages but the analysis and its structures. share: of the picture that paths have made."""
     spent = line.seconds
     return {
         "render_s": sum(seconds for stage, seconds in spent.items() if stage not in ("analysis", "building")),
@@ -158,25 +170,38 @@ def _figures(line: Timeline, rays: int) -> dict[str, Any]:
         "overlap_s": line.overlap,
         "timeline": line.summary(),
         "render_rays": rays,
+        "path_share": share,
     }
 
 
 class _Tracing:
     """What the worker does: decides what is kept, builds it, traces pass after pass.
 
-    result: what was decided. pictures: of the passes traced so far.
+    result: what was decided. passes: how many passes of first hits there are to be. rays: traced so far.
     """
 
     result: CullingResult
 
-    def __init__(
-        self, scene: Scene, samples: int, passes: int, seed: int, threads: int, progress: Progress, cancelled: Callable[[], bool], line: Timeline
-    ) -> None:
-        self.scene, self.seed, self.threads, self.progress, self.cancelled, self.line = scene, seed, threads, progress, cancelled, line
-        self.size = (scene.film.width, scene.film.height)
-        self.first = np.linspace(0, samples, passes + 1).round().astype(int)  # sample number of each pass
-        self.pictures: list[Picture] = []
-        self._shown = np.zeros((self.size[1], self.size[0], 8), np.float32)  # as `layers` names them
+    def __init__(self, scene: Scene, samples: int, seed: int, threads: int, progress: Progress, cancelled: Callable[[], bool], line: Timeline) -> None:
+        self.scene, self.seed, self.threads, self.progress, self.line = scene, seed, threads, progress, line
+        self.size, self.passes = (scene.film.width, scene.film.height), min(samples, MOST_PASSES)
+        self._cancelled, self._failed = cancelled, False
+        self._first = np.linspace(0, samples, self.passes + 1).round().astype(int)  # sample number of each pass
+        self._picture: Picture | None = None  # sums over the passes so far
+        self._shown = np.zeros((self.size[1], self.size[0], 8), np.float32)  # likewise, as `shown` names them
+
+    @contextmanager
+    def stopping(self) -> Iterator[None]:
+        """A block after whose failure nothing more is traced: who waits for the worker does not wait long."""
+        try:
+            yield
+        except BaseException:
+            self._failed = True
+            raise
+
+    @property
+    def rays(self) -> int:
+        return self._picture.rays if self._picture is not None else 0
 
     def decide(self, choose: Callable[[], CullingResult]) -> None:
         """What is kept, and its structures."""
@@ -187,45 +212,54 @@ class _Tracing:
         from ..core.tlas import Tlas
         from ..core.tracer import prepare
 
-        with self.line.stage("analysis", "worker"):
-            result = choose()
-        with self.line.stage("building", "worker"):
-            device, active = shared_device(self.threads), result.active
-            blas = BlasCache(self.scene.meshes, device)
-            blas.need(self.scene.instances.mesh[active])
-            self._tlas = Tlas(self.scene.instances, blas, active)
-            self._prepared = prepare(self.scene, blas).with_emitters(active)
-            instances = self.scene.instances
-            blocks = ~active & (instances.flags & (1 << RayType.SHADOW) != 0)
-            self._boxes = Hitboxes(boxes_before_lamps(instances.bounds, blocks), device)
-        self.result = result
+        with self.stopping():
+            with self.line.stage("analysis", "worker"):
+                result = choose()
+            with self.line.stage("building", "worker"):
+                device, active = shared_device(self.threads), result.active
+                blas = BlasCache(self.scene.meshes, device)
+                blas.need(self.scene.instances.mesh[active])
+                self._tlas = Tlas(self.scene.instances, blas, active)
+                self._prepared = prepare(self.scene, blas).with_emitters(active)
+                instances = self.scene.instances
+                blocks = ~active & (instances.flags & (1 << RayType.SHADOW) != 0)
+                self._boxes = Hitboxes(boxes_before_lamps(instances.bounds, blocks), device)
+            self.result = result
 
     def trace(self, primary: Primary, index: int) -> None:
-        """Paths of a pass."""
+        """Paths of a pass. Raises Cancelled, also where something else has failed."""
         from ..core.guides import guides
+        from ..core.hybrid import added
         from ..core.tracer import trace
 
-        if self.cancelled() or not hasattr(self, "result"):
-            return
-        with self.line.stage("tracing", "worker"):
+        self._check()
+        with self.stopping(), self.line.stage("tracing", "worker"):
             one = dataclasses.replace(self._prepared, scene=dataclasses.replace(self.scene, first_hits={self.size: primary}))
-            first, last = self.first[index : index + 2].tolist()
-            within = part(self.progress, index / (len(self.first) - 1), (index + 1) / (len(self.first) - 1))
-            picture = trace(
-                one, self._tlas, last - first, first, self.seed, threads=self.threads, progress=within, cancelled=self.cancelled, boxes=self._boxes
-            )
-            self.pictures.append(picture)
+            first, last = self._first[index : index + 2].tolist()
+            within = part(self.progress, index / self.passes, (index + 1) / self.passes)
+            samples = {"samples": last - first, "first_sample": first, "seed": self.seed}
+            picture = trace(one, self._tlas, **samples, threads=self.threads, progress=within, cancelled=self._stopped, boxes=self._boxes)
+            self._check()
+            self._picture = added(self._picture, picture)
             self._shown += np.concatenate([_decided(primary, self.result), guides(self._prepared.table, primary)], axis=2)
+
+    def _stopped(self) -> bool:
+        return self._failed or self._cancelled()
+
+    def _check(self) -> None:
+        if self._stopped():
+            raise Cancelled
 
     def light(self) -> Light:
         """Of all passes."""
         from ..core.hybrid import Light
 
-        return Light.of(self.pictures)
+        assert self._picture is not None
+        return Light.of(self._picture)
 
-    def layers(self) -> dict[str, F32]:
-        """What was decided about what is seen, its base colours and normals."""
-        shown = self._shown / np.float32(len(self.pictures))
+    def shown(self) -> dict[str, F32]:
+        """Layers of what was decided about what is seen, of its base colours and normals."""
+        shown = self._shown / np.float32(self.passes)
         return {"Culling State": shown[..., 0], "Hit Feedback": shown[..., 1], "Albedo": shown[..., 2:5], "Normal": shown[..., 5:8]}
 
 
@@ -238,21 +272,16 @@ def _decided(primary: Primary, result: CullingResult) -> F32:
     return np.stack([active, np.where(there, met[instance], 0.0)], axis=2).astype(np.float32)
 
 
-def _combine(light: Light, passes: Passes | None, clean: bool, threads: int, layers: dict[str, F32]) -> F32:
-    """The picture, (H, W, 4), and its parts into layers."""
+def _combine(light: Light, passes: Passes | None, shown: dict[str, F32], clean: bool, threads: int) -> tuple[F32, dict[str, F32]]:
+    """The picture, (H, W, 4), and all layers by name. shown: `_Tracing.shown`. clean: without noise."""
     visible = passes.visible if passes is not None else None
     lamps = light.lamps(visible)
     traced = lamps + light.indirect
-    layers["Traced Indirect"], layers["Traced Lamps"] = light.indirect, lamps
+    layers = {**shown, "Traced Indirect": light.indirect, "Traced Lamps": lamps, "Shadow Doubt": light.doubt(visible)}
     if clean:
-        traced = denoise(traced, passes.albedo if passes is not None else layers["Albedo"], layers["Normal"], threads)
-        layers["Denoised"] = traced
-    picture = np.concatenate([light.straight + traced, light.alpha[..., None]], axis=2)
-    layers["Combined"] = picture
-    layers["Shadow Doubt"] = light.doubt(visible)
-    if passes is not None:
-        layers |= _raster_layers(passes)
-    return picture
+        traced = layers["Denoised"] = denoise(traced, passes.albedo if passes is not None else shown["Albedo"], shown["Normal"], threads)
+    picture = layers["Combined"] = np.concatenate([light.straight + traced, light.alpha[..., None]], axis=2)
+    return picture, layers | (_raster_layers(passes) if passes is not None else {})
 
 
 def _raster_layers(passes: Passes) -> dict[str, F32]:

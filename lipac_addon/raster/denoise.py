@@ -45,16 +45,24 @@ def _library() -> ctypes.CDLL:
     found = next((folder / name for folder in _folders() if (folder / name).exists()), None)
     if found is None:
         raise InputError(f"this Blender brings no Open Image Denoise ({name}): use --denoise off")
-    library = ctypes.CDLL(str(found))
+    try:
+        library = ctypes.CDLL(str(found))
+    except OSError as error:
+        raise InputError(f"Open Image Denoise of this Blender cannot be loaded ({error}): use --denoise off") from error
     for function, (result, arguments) in _SIGNATURES.items():
         getattr(library, function).restype, getattr(library, function).argtypes = result, arguments
     return library
 
 
+def require() -> None:
+    """Raises InputError, one line that says what to do, where this Blender brings no library to denoise with."""
+    _library()
+
+
 def denoise(light: F32, albedo: F32 | None = None, normal: F32 | None = None, threads: int = 0) -> F32:
     """Light without its noise: (H, W, 3) float32, linear, any range. albedo (0 to 1), normal: of the same shape, free of noise. threads: 0 for all.
 
-    Raises InputError where the library is missing, RuntimeError with its message where it fails.
+    Raises InputError where the library is missing (`require`), RuntimeError with its message where it fails.
     """
     library = _library()
     height, width = light.shape[:2]

@@ -1,48 +1,60 @@
-"""First hits of the whole scene, culled instances included."""
+"""First hits of the whole scene, culled instances included: by a raster, or by rays where there is none."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from ...core.errors import InputError
 from ...core.scene import Scene
 from . import opengl
 
 if TYPE_CHECKING:
-    from ...core.primary import Primary
+    from ...core.primary import MeshTable, Primary
 
 PRIMARY = ("raster", "traced")
 
 
-class FirstHits:
-    """First hits of the whole scene, culled instances included, by a raster or by rays over everything (built for it, and freed again)."""
+class FirstHits(Protocol):
+    """What finds first hits of a scene, and has loaded the meshes that they lie on."""
 
-    def __init__(self, scene: Scene, primary: str, threads: int = 0) -> None:
-        """Raises InputError where there is no OpenGL and primary asks for it."""
-        if primary not in PRIMARY:
-            raise InputError(f"unknown first hits '{primary}': choose one of {', '.join(PRIMARY)}")
-        self.scene = scene
-        self.draw: Callable[[tuple[int, int], int, int], Primary]
-        if primary == "raster":
-            opengl.require()
-            from .gbuffer import GBuffer
+    scene: Scene
+    meshes: MeshTable
 
-            buffer = GBuffer(scene)
-            self.meshes, self.draw = buffer.meshes, buffer.draw
-            return
+    def draw(self, size: tuple[int, int], index: int = 0, count: int = 1) -> Primary:
+        """Pass `index` of `count` (`core.primary.pass_camera`), of a picture of size (width, height)."""
+
+
+def first_hits(scene: Scene, primary: str, threads: int = 0) -> FirstHits:
+    """What finds first hits by primary, one of PRIMARY. threads: of what is built for rays, 0 for all. Raises InputError where there is no OpenGL for a raster."""
+    if primary not in PRIMARY:
+        raise InputError(f"unknown first hits '{primary}': choose one of {', '.join(PRIMARY)}")
+    if primary == "traced":
+        return TracedHits(scene, threads)
+    opengl.require()
+    from .gbuffer import GBuffer
+
+    return GBuffer(scene)
+
+
+class TracedHits:
+    """First hits by rays over everything in view, which is built for it, and freed with this."""
+
+    def __init__(self, scene: Scene, threads: int = 0) -> None:
         from ...core.blas import BlasCache
         from ...core.embree import shared_device
-        from ...core.primary import MeshTable, in_view, pass_camera, trace_primary
+        from ...core.primary import MeshTable, in_view
         from ...core.tlas import Tlas
 
+        self.scene = scene
+        self.meshes = MeshTable(scene.meshes)
         seen = in_view(scene)
         blas = BlasCache(scene.meshes, shared_device(threads))
         blas.need(scene.instances.mesh[seen])
-        tlas = Tlas(scene.instances, blas, seen)
-        self.meshes = MeshTable(scene.meshes)
+        self._tlas = Tlas(scene.instances, blas, seen)
 
-        def draw(size: tuple[int, int], index: int = 0, count: int = 1) -> Primary:
-            return trace_primary(tlas, self.meshes, pass_camera(scene.camera, scene.film, size, index, count), size, scene.instances.mesh)
+    def draw(self, size: tuple[int, int], index: int = 0, count: int = 1) -> Primary:
+        """As `FirstHits.draw`."""
+        from ...core.primary import pass_camera, trace_primary
 
-        self.draw = draw
+        camera = pass_camera(self.scene.camera, self.scene.film, size, index, count)
+        return trace_primary(self._tlas, self.meshes, camera, size, self.scene.instances.mesh)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import gpu
@@ -12,7 +11,7 @@ from mathutils import Matrix
 
 from ...core.camera import projection
 from ...core.primary import HIT, MeshTable, Primary, in_view, pass_camera
-from ...core.scene import F32, I64, Scene
+from ...core.scene import F32, I64, Camera, Scene
 
 ROW = 1024  # instances per row of the texture that holds transforms
 _TEXELS = 3  # of an instance: the rows of its transform
@@ -70,7 +69,7 @@ class GBuffer:
     Raises what `opengl.require` raises. To be used on the thread that made it.
     """
 
-    def __init__(self, scene: Scene, progress: Callable[[float, str], None] | None = None) -> None:
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.meshes = MeshTable(scene.meshes)
         instances = scene.instances
@@ -81,9 +80,7 @@ class GBuffer:
         self._batches: list[tuple[Any, int, int]] = []
         meshes, starts = np.unique(instances.mesh[self.order], return_index=True)
         ends = np.append(starts[1:], len(self.order))
-        for k, (mesh, a, b) in enumerate(zip(meshes.tolist(), starts.tolist(), ends.tolist(), strict=True)):
-            if progress:
-                progress(k / len(meshes), f"{len(meshes):,} meshes to the graphics card")
+        for mesh, a, b in zip(meshes.tolist(), starts.tolist(), ends.tolist(), strict=True):
             self.meshes.need(np.array([mesh]))
             data = self.meshes[mesh]
             if len(data.triangles):
@@ -106,11 +103,11 @@ class GBuffer:
         lookup = np.append(np.int64(-1), self.order)
         hits["instance"] = lookup[slot]
         hits["triangle"] = found[..., 1].astype(np.uint32)
-        hits["b1"], hits["b2"] = found[..., 2], found[..., 3]
-        hits["b1"], hits["b2"] = np.clip(hits["b1"], 0, 1), np.clip(hits["b2"], 0, 1 - np.clip(hits["b1"], 0, 1))
+        hits["b1"] = np.clip(found[..., 2], 0, 1)
+        hits["b2"] = np.clip(found[..., 3], 0, 1 - hits["b1"])
         return Primary(hits, camera, self.meshes)
 
-    def _pixels(self, camera: Any, size: tuple[int, int]) -> F32:
+    def _pixels(self, camera: Camera, size: tuple[int, int]) -> F32:
         """(H, W, 4) float32, rows bottom up: slot + 1 (0: nothing), triangle, barycentrics."""
         view_projection, depth_plane = projection(camera)
         color = gpu.types.GPUTexture(size, format="RGBA32F")

@@ -28,6 +28,15 @@ _FILE = {
     "use_exr_interleave": True,
     "color_depth": "32",
 }
+# The whole picture, sharp and as the engine leaves it: first hits and paths are of one moment, and of all pixels.
+_PLAIN = {
+    "use_border": False,
+    "use_motion_blur": False,
+    "use_sequencer": False,
+    "use_compositing": False,
+    "use_multiview": False,
+    "use_persistent_data": False,
+}
 _LAMPS_ONLY = {
     # Only lamps: the sky, probes and what the screen shows give no light to surfaces, the path tracer does that.
     "indirect_light_intensity": 0.0,
@@ -88,7 +97,7 @@ def render_passes(
     lamps_only: no other light falls on surfaces, for others bring it; else all that EEVEE makes of the scene's settings. unshadowed: with lamps_only, render
     their light without shadows too. save: also save the picture as save.exr and save.png, displayed as Blender displays its renders.
 
-    Raises InputError where it cannot be rendered. OpenGL must be there (`opengl.require`).
+    Raises InputError where it cannot be rendered, OSError where a file cannot be written. OpenGL must be there (`opengl.require`).
     """
     passes = _render(scene, samples, _LAMPS_ONLY if lamps_only else {}, save)
     if not unshadowed:
@@ -97,25 +106,27 @@ def render_passes(
 
 
 def _render(scene: bpy.types.Scene, samples: int, eevee: dict[str, Any], save: Path | None = None) -> Passes:
-    with tempfile.TemporaryDirectory(prefix="lipac-") as folder, _settings(scene, samples, eevee, Path(folder) / "passes.exr"), no_new_images():
+    with _settings(scene, samples, eevee), no_new_images():
         try:
             with muted():
-                bpy.ops.render.render(write_still=True, scene=scene.name)
+                bpy.ops.render.render(scene=scene.name)
                 if save is not None:
                     save_render_result(scene, save)
+                return _passes(scene)
         except RuntimeError as error:
             raise InputError(f"eevee cannot render the scene: {str(error).removeprefix('Error:').strip()}") from error
-        return _read(Path(folder) / "passes.exr")
 
 
 @contextmanager
-def _settings(scene: bpy.types.Scene, samples: int, eevee: dict[str, Any], path: Path) -> Iterator[None]:
+def _settings(scene: bpy.types.Scene, samples: int, eevee: dict[str, Any]) -> Iterator[None]:
+    """EEVEE, of the first layer that is rendered, with the passes; as `eevee` says of its settings."""
     layer = next((v for v in scene.view_layers if v.use), scene.view_layers[0])
     with ExitStack() as stack:
-        set_ = lambda target, **values: stack.enter_context(changed(target, **_known(target, values)))  # noqa: E731
-        plain = {"use_border": False, "use_sequencer": False, "use_compositing": False, "use_multiview": False, "use_persistent_data": False}
-        set_(scene.render, engine="BLENDER_EEVEE", filepath=str(path), use_file_extension=True, **plain)
-        set_(scene.render.image_settings, **_FILE)
+
+        def set_(target: Any, **values: Any) -> None:
+            stack.enter_context(changed(target, **_known(target, values)))
+
+        set_(scene.render, engine="BLENDER_EEVEE", **_PLAIN)
         set_(scene.eevee, taa_render_samples=samples, **eevee)
         if scene.world is not None and eevee:
             set_(scene.world, sun_threshold=0.0)
@@ -130,12 +141,21 @@ def _known(target: Any, values: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if hasattr(target, name)}
 
 
+def _passes(scene: bpy.types.Scene) -> Passes:
+    """Of the last render. Scripts can read them from a file alone."""
+    with tempfile.TemporaryDirectory(prefix="lipac-") as folder:
+        path, settings = Path(folder) / "passes.exr", scene.render.image_settings
+        with changed(settings, **_known(settings, _FILE)):
+            bpy.data.images["Render Result"].save_render(str(path), scene=scene)
+        return _read(path)
+
+
 def _read(path: Path) -> Passes:
     """Passes of a multilayer EXR as EEVEE wrote it."""
     import OpenEXR
 
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = {name.partition(".")[2]: channel.pixels for part in file.parts for name, channel in part.channels.items()}
+    with OpenEXR.File(str(path), separate_channels=True) as file:  # channels are LAYER.PASS.LETTER, and a layer's name may have dots
+        channels = {".".join(name.rsplit(".", 2)[1:]): channel.pixels for part in file.parts for name, channel in part.channels.items()}
 
     def color(name: str, letters: str = "RGB") -> F32:
         return np.ascontiguousarray(np.stack([channels[f"{name}.{letter}"] for letter in letters], axis=2)[::-1], np.float32)

@@ -4,12 +4,14 @@ import json
 import os
 import subprocess
 import sys
+import tracemalloc
 
 import bpy
 import numpy as np
 import pytest
 
 from lipac.core.culling import CullOptions
+from lipac.core.errors import InputError
 from lipac.core.loop import Loop
 from lipac.core.metrics import relative_mse
 from lipac.lipac_addon.engines import render_blender
@@ -17,7 +19,7 @@ from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.hybrid import HybridOptions, render_hybrid
 from lipac.lipac_addon.pictures import read_picture
 from lipac.lipac_addon.raster import opengl
-from lipac.lipac_addon.raster.denoise import denoise
+from lipac.lipac_addon.raster.denoise import _library, denoise
 from lipac.lipac_addon.raster.layers import read_layers
 from lipac.lipac_addon.raster.passes import Passes, render_passes
 from lipac.scripts.hybrid_pop import measure
@@ -82,18 +84,107 @@ def test_as_cycles_where_nothing_is_culled(pictures):
 
 @needs_opengl
 def test_never_below_the_raster(pictures):
-    """Hybrid is no further from the truth than EEVEE, whatever is culled: where it might be, EEVEE's picture is shown, bit for bit as EEVEE shows it."""
+    """Hybrid is no further from the truth than EEVEE, whatever is culled: where it might be, what is shown is the mixture of both that is nearest."""
     out, folder = pictures
     base = relative_mse(out["cycles"], out["eevee"])
     for name in ("full", "some", "few", "none"):
         assert relative_mse(out["cycles"], out[name]) <= base * (1 + 1e-6)
-    frames = {name: json.loads((folder / name / "report.json").read_text())["frames"][0] for name in ("some", "few", "none")}
-    assert frames["none"]["raster_only"]
-    shown, own = read_picture(folder / "none" / "frame_0001.png"), read_picture(folder / "eevee.png")
-    np.testing.assert_array_equal(shown, own)
+    frames = {name: json.loads((folder / name / "report.json").read_text())["frames"][0] for name in ("full", "some", "few", "none")}
+    assert frames["full"]["path_share"] == 1 and "comparison" not in {stage["stage"] for stage in frames["full"]["timeline"]}
     assert 0 < frames["few"]["active"] < frames["few"]["instances"]
     assert frames["none"]["active"] == frames["none"]["blas_bytes"] == 0
     assert frames["some"]["active"] < frames["some"]["instances"]
+
+
+@pytest.fixture(scope="module")
+def dawn_file(scene_file, tmp_path_factory):
+    """The scene with the sky's light keyed over three frames, from none to bright: with everything culled the raster is the better picture of the first frame,
+    paths give that of the last. Its path."""
+    bpy.ops.wm.open_mainfile(filepath=str(scene_file))
+    strength = bpy.context.scene.world.node_tree.nodes["Background"].inputs["Strength"]
+    for frame, value in ((1, 0.02), (2, 0.75), (3, 2.0)):
+        strength.default_value = value
+        strength.keyframe_insert("default_value", frame=frame)
+    path = tmp_path_factory.mktemp("dawn") / "dawn.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+@needs_opengl
+def test_sequence(dawn_file, tmp_path):
+    """Over frames the picture goes from the raster's to that of paths by way of mixtures, and each frame is the same whichever process renders it, and after
+    whichever others: alone, at the end of a range, or by --resume into a folder that lacks it."""
+    whole, alone = tmp_path / "whole", tmp_path / "alone"
+    command = ["render", str(dawn_file), *FAST, "--samples", "16", "--min-share", "1e9"]
+    assert main([*command, "-o", str(whole), "--frames", "1-3"]) == 0
+    shares = [frame["path_share"] for frame in json.loads((whole / "report.json").read_text())["frames"]]
+    assert shares[0] == 0 < shares[1] < 1 == shares[2]
+    assert main([*command, "-o", str(alone), "--frames", "3"]) == 0
+    assert main([*command, "-o", str(alone), "--frames", "2-3", "--resume"]) == 0
+    again = {frame["frame"]: frame["path_share"] for frame in json.loads((alone / "report.json").read_text())["frames"]}
+    assert again == {2: shares[1], 3: shares[2]}
+    for name in ("frame_0002", "frame_0003"):
+        for ending in (".exr", ".png", "_layers.exr"):
+            a, b = ((folder / f"{name}{ending}") for folder in (whole, alone))
+            if ending == "_layers.exr":
+                first, second = read_layers(a), read_layers(b)
+                assert first.keys() == second.keys() == read_layers(whole / "frame_0001_layers.exr").keys()
+                for layer in first:
+                    np.testing.assert_array_equal(first[layer], second[layer])
+            else:
+                np.testing.assert_array_equal(read_picture(a), read_picture(b))
+
+
+@needs_opengl
+def test_raster_alone_is_eevee(dawn_file, tmp_path):
+    """Where the raster is the better picture it is shown bit for bit as EEVEE shows it."""
+    assert main(["render", str(dawn_file), *FAST, "-o", str(tmp_path), "--samples", "16", "--min-share", "1e9", "--frames", "1"]) == 0
+    assert json.loads((tmp_path / "report.json").read_text())["frames"][0]["path_share"] == 0
+    bpy.context.scene.frame_set(1)
+    render_blender("eevee", tmp_path / "eevee", samples=2)
+    np.testing.assert_array_equal(read_picture(tmp_path / "frame_0001.png"), read_picture(tmp_path / "eevee.png"))
+
+
+@needs_opengl
+def test_failure_ends_the_work(scene_file, tmp_path):
+    """What cannot be denoised is said before anything is decided; what fails in the decision is what is raised, and nothing is traced or left after it."""
+    bpy.ops.wm.open_mainfile(filepath=str(scene_file))
+    scene = extract_frame(bpy.context.scene).scene
+
+    def fails(scene):
+        raise MemoryError("no room")
+
+    with pytest.raises(MemoryError, match="no room"):
+        render_hybrid(scene, HybridOptions(raster_samples=1), CullOptions(), tmp_path / "a", 64, decide=fails)
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_denoiser(boxes, tmp_path, monkeypatch):
+    """Where Blender brings no library to denoise with, that is said before any work."""
+    monkeypatch.setattr("lipac.lipac_addon.raster.denoise._NAMES", {sys.platform: "libNowhere.so", "linux": "libNowhere.so"})
+    _library.cache_clear()
+
+    def never(scene):
+        raise AssertionError("decided before it was known whether the picture can be denoised")
+
+    with pytest.raises(InputError, match="use --denoise off"):
+        render_hybrid(extract_frame(boxes).scene, HybridOptions(primary="traced"), CullOptions(), tmp_path / "a", 1, decide=never)
+    _library.cache_clear()
+
+
+def test_memory_does_not_grow_with_passes(scene_file, tmp_path):
+    """Sixteen passes hold no more pictures than four: each is added to the sums. One has 16 floats per pixel."""
+    bpy.ops.wm.open_mainfile(filepath=str(scene_file))
+    bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y = 256, 144
+    scene = extract_frame(bpy.context.scene).scene
+    peaks = []
+    for samples in (4, 4, 16):  # the first one loads what stays
+        tracemalloc.start()
+        options = HybridOptions(primary="traced", denoise=False)
+        render_hybrid(scene, options, CullOptions(policy="none"), tmp_path / "a", samples)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[2] - peaks[1] < 3 * 256 * 144 * 16 * 4
 
 
 @needs_opengl
