@@ -25,7 +25,10 @@ class FirstHits(Protocol):
 
 
 def first_hits(scene: Scene, primary: str, threads: int = 0) -> FirstHits:
-    """What finds first hits by primary, one of PRIMARY. threads: of what is built for rays, 0 for all. Raises InputError where there is no OpenGL for a raster."""
+    """What finds first hits by primary, one of PRIMARY. threads: of what is built for rays, 0 for all.
+
+    Raises InputError where there is no OpenGL for a raster, and for another primary.
+    """
     if primary not in PRIMARY:
         raise InputError(f"unknown first hits '{primary}': choose one of {', '.join(PRIMARY)}")
     if primary == "traced":
