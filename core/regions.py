@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .boxes import columns, enclosing, extents
+from .boxes import enclosing, extended_morton_codes, extents
 from .scene import F32, I32, I64
 from .view import View
 
@@ -28,32 +28,11 @@ _MORTON_BITS = 16
 _SIZE_CLASSES = 8  # an instance is at most a quarter as large as one of the class before it
 
 
-def _spread(x: np.ndarray) -> np.ndarray:
-    """Bits of x (uint64, 16 used) moved to every third place."""
-    for shift, mask in ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3), (2, 0x1249249249249249)):
-        x = (x | (x << np.uint64(shift))) & np.uint64(mask)
-    return x
-
-
 def spatial_order(bounds: F32) -> I32:
-    """Order of boxes (N, 2, 3) along a Morton curve, large boxes first, so that a house and a pebble never share a region.
-
-    (Morton codes extended by size: Vinkler, Bittner, Havran, "Extended Morton Codes for High Performance Bounding Volume Hierarchy Construction", HPG 2017.)
-    """
-    if not len(bounds):
-        return np.zeros(0, np.int32)
-    c = columns(bounds)
-    center = (c[:3] + c[3:]) * np.float32(0.5)
-    low = center.min(axis=1, keepdims=True)
-    extent = max(float((center.max(axis=1, keepdims=True) - low).max()), 1e-30)
-    x, y, z = np.clip((center - low) * np.float32((1 << _MORTON_BITS) / extent), 0, (1 << _MORTON_BITS) - 1).astype(np.uint64)
-    code = _spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2))
-    size = extents(bounds)
-    largest = max(float(size.max()), 1e-30)
-    rank = np.clip(-np.log2(np.maximum(size / np.float32(largest), 1e-30)) / 2, 0, _SIZE_CLASSES - 1).astype(np.uint64)
+    """Order of boxes (N, 2, 3) along a Morton curve, large boxes first, so that a house and a pebble never share a region: (N,) int32."""
+    code = extended_morton_codes(bounds, _MORTON_BITS, _SIZE_CLASSES)
     # The index in the low bits makes keys distinct: a plain sort of integers is then an argsort, stable and several times as fast.
     bits = max(len(bounds) - 1, 1).bit_length()
-    code |= rank << np.uint64(3 * _MORTON_BITS)
     code >>= np.uint64(max(3 * _MORTON_BITS + 3 + bits - 64, 0))
     code = (code << np.uint64(bits)) | np.arange(len(bounds), dtype=np.uint64)
     code.sort()
