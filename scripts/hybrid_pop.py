@@ -2,7 +2,8 @@
 
 A camera draws back from a slab over a floor, and returns; `--cull distance` culls the slab on the way and keeps it again. Each frame is rendered with nothing
 culled, with the slab's shadow from the raster where it is culled (the hybrid renderer), and without (`--primary traced`). The pop of a frame is how much its
-shadow, less that of the unculled frame, differs from the frame before, over the brightness of the lit floor. Writes DIR/hybrid_pop.json and a picture.
+shadow, less that of the unculled frame, differs from the frame before, over the brightness of the lit floor. Writes DIR/hybrid_pop.json, a picture into
+DIR/../pictures, and the tables into DIR/../results.md where that is there.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from ..core.film import LUMINANCE
 from ..core.report import replacing
 from ..core.scene import F32
 from .evaluate_report import shown
+from .hybrid_results import pictures_folder, write_page
 
 FRAMES = 9
 NEAR, FAR = 9.0, 11.0  # metres from the camera to the slab's middle, along the floor
@@ -61,7 +63,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         part.write_text(json.dumps(figures, indent=1) + "\n")
     changes = [k for k in range(1, FRAMES) if result.kept[k] != result.kept[k - 1]]
     rows = [k for change in changes[:1] for k in (change - 1, change)]
-    imsave(args.output.parent / "pictures" / "hybrid-pop.png", np.concatenate([np.repeat(np.repeat(shown(result.pictures[k]), 2, 0), 2, 1) for k in rows]))
+    seen = np.concatenate([np.repeat(np.repeat(shown(result.pictures[k]), 2, 0), 2, 1) for k in rows])
+    imsave(pictures_folder(args.output) / "hybrid-pop.png", seen)
+    write_page(args.output)
     print(section(figures))
     return 0
 

@@ -2,20 +2,26 @@
 
 Each scene is rendered by Cycles (the truth), by EEVEE alone, and by the hybrid renderer with nothing culled, within budgets, and with everything culled;
 some also with 1 to 8 paths per pixel, next to Cycles in equal time. Every render is one `lipac render` in a process of its own, into the folder --work; what
-is there is not rendered again. Writes DIR/hybrid.json, and pictures into DIR/../pictures.
+is there of the same scene file, and where it is ours of the same code, is not rendered again.
+
+Writes DIR/hybrid.json after each scene, pictures into DIR/../pictures, and the tables into DIR/../results.md where that is there. Scenes that are not named
+keep their rows, so a list of scenes can be measured in several goes; their settings must be the same.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import sys
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..core.errors import InputError
 from ..core.metrics import flip, relative_mse
 from ..core.report import replacing
 from .compare import lipac, markdown, pictures
@@ -33,6 +39,9 @@ WAYS = {
 SHOWN = (TRUTH, RASTER, WHOLE, CULLED)
 SUPPLIED_SCENES = ("indoor", "kitchen", "candela_city", "rooms1024")
 DEMOS = {"mirror-city": 20_000, "crowd": 1_000}
+SCENES = (*SUPPLIED_SCENES, *DEMOS)
+SETTINGS = ("resolution", "truth", "samples", "raster_samples")
+TITLE = "## The hybrid renderer"
 COSTED = ("indoor", "candela_city", "mirror-city")
 PATHS = (1, 2, 4, 8)
 CYCLES_PATHS = (1, 2, 4, 8, 16, 32, 64)
@@ -42,8 +51,8 @@ Row = dict[str, Any]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Render, compare, write; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="*", metavar="NAME", default=[*SUPPLIED_SCENES, *DEMOS], help="default: all supplied scenes and demos")
+    parser = argparse.ArgumentParser(prog="hybrid_results", description=__doc__)
+    parser.add_argument("scenes", nargs="*", metavar="NAME", default=[*SCENES], help=f"default: all, {', '.join(SCENES)}")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for hybrid.json")
     parser.add_argument("--work", type=Path, default=Path("out/hybrid"), metavar="DIR", help="folder for renders (default: %(default)s)")
     parser.add_argument("--supplied", type=Path, default=SUPPLIED, metavar="DIR", help="where the supplied scenes are")
@@ -51,25 +60,61 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--truth", type=int, default=512, help="paths per pixel of the truth")
     parser.add_argument("--samples", type=int, default=32, help="paths per pixel of the hybrid renderer")
     parser.add_argument("--raster-samples", type=int, default=8, help="of EEVEE, alone and in the hybrid renderer")
+    parser.add_argument("--no-cost", action="store_true", help="errors alone; what the file says of seconds stays, for another machine's would not compare")
     args = parser.parse_args(argv)
-    target = args.output / "hybrid.json"
-    args.output.mkdir(parents=True, exist_ok=True)
-    results: dict[str, Any] = json.loads(target.read_text()) if target.exists() else {"scenes": {}, "cost": {}}
-    results["settings"] = {name: getattr(args, name) for name in ("resolution", "truth", "samples", "raster_samples")}
+    try:
+        results = begun(args)
+    except InputError as error:
+        print(f"hybrid_results: {error}", file=sys.stderr)
+        return 2
     for name in args.scenes:
         scene = scene_file(name, args)
         if scene is None:
             print(f"{name} is not in {args.supplied} and is left out; --supplied says where it is", file=sys.stderr)
             continue
-        results["scenes"][name] = compare(name, scene, args)
-        if name in COSTED:
+        row, before = compare(name, scene, args), results["scenes"].get(name, {})
+        results["scenes"][name] = row | ({"overlap": before["overlap"]} if args.no_cost and before else {})
+        if name in COSTED and not args.no_cost:
             results["cost"][name] = cost(name, scene, args)
-        with replacing(target) as part:
-            part.write_text(json.dumps(results, indent=1) + "\n")
+        write(results, args.output)
     if results["cost"]:
         plot(results["cost"], pictures_folder(args.output) / "hybrid-cost.png")
     print(section(results))
     return 0
+
+
+def begun(args: argparse.Namespace) -> dict[str, Any]:
+    """What DIR/hybrid.json has, or the beginning of it. Raises InputError for unknown scenes, and where rows that stay were measured by other settings."""
+    if unknown := [name for name in args.scenes if name not in SCENES]:
+        raise InputError(f"no such scene: {', '.join(unknown)}; choose of {', '.join(SCENES)}")
+    args.output.mkdir(parents=True, exist_ok=True)
+    target, settings = args.output / "hybrid.json", {name: getattr(args, name) for name in SETTINGS}
+    results: dict[str, Any] = json.loads(target.read_text()) if target.exists() else {"scenes": {}, "cost": {}, "settings": settings}
+    stay = results["scenes"].keys() - set(args.scenes)
+    if results["settings"] != settings and stay:
+        old = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in results["settings"].items())
+        raise InputError(f"{target} has {', '.join(sorted(stay))} by {old}: give the same settings, or name these scenes, too")
+    return results | {"settings": settings}
+
+
+def write(results: dict[str, Any], output: Path) -> None:
+    """DIR/hybrid.json, scenes in the order of SCENES; and its tables in DIR/../results.md."""
+    for part_of in ("scenes", "cost"):
+        results[part_of] = {name: results[part_of][name] for name in SCENES if name in results[part_of]}
+    with replacing(output / "hybrid.json") as part:
+        part.write_text(json.dumps(results, indent=1) + "\n")
+    write_page(output)
+
+
+def write_page(output: Path) -> None:
+    """Put the sections about the hybrid renderer, as the files in a folder say, at the end of the page beside it, where there is one."""
+    from .evaluate_report import hybrid
+
+    page = output.parent / "results.md"
+    if page.exists():
+        head = page.read_text().partition(f"\n{TITLE}\n")[0]
+        with replacing(page) as part:
+            part.write_text(head + hybrid(output))
 
 
 def pictures_folder(output: Path) -> Path:
@@ -93,13 +138,27 @@ def scene_file(name: str, args: argparse.Namespace) -> Path | None:
 
 def render(name: str, scene: Path, way: str, samples: int, args: argparse.Namespace) -> Path:
     """Render a scene one way, unless that is done; returns its folder."""
-    folder: Path = args.work / name / f"{args.resolution}-{samples}-{way.replace(', ', '-').replace(' %', '').replace(' ', '-')}"
+    ours = "hybrid" in WAYS[way]
+    more = ["--raster-samples", str(args.raster_samples)] if ours else []
+    made = hashlib.sha256(f"{digest(scene)} {digest(*sources()) if ours else ''} {more}".encode()).hexdigest()[:10]
+    folder: Path = args.work / name / f"{args.resolution}-{samples}-{way.replace(', ', '-').replace(' %', '').replace(' ', '-')}-{made}"
     if (folder / "report.json").exists() and json.loads((folder / "report.json").read_text())["frames"]:
         return folder
-    more = ["--raster-samples", str(args.raster_samples)] if "hybrid" in WAYS[way] else []
     print(f"{name}: {way}, {samples} samples", file=sys.stderr, flush=True)
     lipac("render", scene, "-o", folder, *WAYS[way], *more, "--resolution", args.resolution, "--samples", str(samples))
     return folder
+
+
+@cache
+def digest(*paths: Path) -> str:
+    """Of the contents of files."""
+    return hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in paths)).hexdigest()
+
+
+def sources() -> list[Path]:
+    """What a render of ours depends on."""
+    root = Path(__file__).parents[1]
+    return sorted(path for folder in ("core", "lipac_addon") for path in (root / folder).rglob("*.py") if "ui" not in path.parts)
 
 
 def frame_of(folder: Path) -> Row:
@@ -127,7 +186,7 @@ def compare(name: str, scene: Path, args: argparse.Namespace) -> Row:
         "blas_bytes": [culled["blas_bytes"], whole["blas_bytes"]],
         "tlas_bytes": [culled["tlas_bytes"], whole["tlas_bytes"]],
         "overlap": culled["overlap_s"] / max(seconds(culled), 1e-9),
-        "raster_only": [way for way, folder in folders.items() if frame_of(folder).get("raster_only")],
+        "path_share": {way: share for way, folder in folders.items() if (share := frame_of(folder).get("path_share", 1)) < 1},
     }
 
 
@@ -191,16 +250,14 @@ def section(results: dict[str, Any]) -> str:
         kept = (f"{row['active']:,} of {row['instances']:,}", f"{blas[0] / max(blas[1], 1):.0%}", f"{share:.0%}", f"{row['overlap']:.0%}")
         body.append((name, *cells[0][:3], f"{worse['flip']:+.1%}", *cells[0][3:5], *kept))
         linear.append((name, *cells[1][:3], f"{worse['relmse']:+.1%}", *cells[1][3:]))
-    lines = ["## The hybrid renderer", ""]
-    size, truth, samples, raster = (settings[name] for name in ("resolution", "truth", "samples", "raster_samples"))
+    lines = [TITLE, ""]
+    size, truth, samples, raster = (settings[name] for name in SETTINGS)
     lines += [f"`python -m lipac.scripts.hybrid_results -o docs/results`, at {size}: {truth} paths per pixel of Cycles are the truth, {samples} those of the"]
     lines += [f"hybrid renderer, {raster} the samples of EEVEE. Mean FLIP of what is displayed. Bytes of the culled picture over those of the unculled one,"]
     lines += ["hitboxes included. Overlap: share of the frame in which both threads worked."]
     lines += ["", markdown([(*head, "kept", "BLAS", "BLAS and TLAS", "overlap"), *body]), ""]
     lines += ["relMSE of the linear pictures:", "", markdown([(*head, RAW), *linear]), ""]
-    alone = [f"{name} ({', '.join(row['raster_only'])})" for name, row in results["scenes"].items() if row["raster_only"]]
-    if alone:
-        lines += [f"Shown by EEVEE alone, which was nearer to what paths show with nothing culled: {'; '.join(alone)}.", ""]
+    lines += mixtures(results["scenes"])
     lines += [f"From left to right {', '.join(SHOWN)}:", ""]
     lines += [f"![{name}](pictures/hybrid-{name}.png)" for name in results["scenes"]]
     if results["cost"]:
@@ -209,6 +266,20 @@ def section(results: dict[str, Any]) -> str:
             lines += [cost_table(name, rows), ""]
         lines += ["![Error against time, next to Cycles](pictures/hybrid-cost.png)"]
     return "\n".join(lines) + "\n"
+
+
+def mixtures(scenes: dict[str, Row]) -> list[str]:
+    """What is said of pictures that are EEVEE's in part or as a whole."""
+    lines = []
+    shares = {name: ", ".join(f"{way}: {share:.0%}" for way, share in row.get("path_share", {}).items()) for name, row in scenes.items()}
+    mixed = [f"{name} ({of})" for name, of in shares.items() if of]
+    if mixed:
+        lines += [f"Mixed with EEVEE's picture, and by which share made by paths: {'; '.join(mixed)}.", ""]
+    alone = [f"{name} ({', '.join(row['raster_only'])})" for name, row in scenes.items() if row.get("raster_only")]
+    if alone:
+        lines += ["Measured when one of the two pictures was chosen, before they were mixed (an error that is EEVEE's can have become smaller since), and"]
+        lines += [f"shown by EEVEE alone: {'; '.join(alone)}.", ""]
+    return lines
 
 
 def cost_table(name: str, rows: list[Row]) -> str:
