@@ -22,7 +22,7 @@ from . import writeback
 from .baked import save_baked
 from .console import muted
 from .counting import counting
-from .engines import BLENDER_ENGINES, render_blender, render_path, samples_of
+from .engines import BLENDER_ENGINES, left_out, render_blender, render_path, samples_of
 from .extract import Extraction, Extractor
 from .hybrid import HybridOptions, render_hybrid
 from .keys import Keys
@@ -112,6 +112,7 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     finished = {frame for frame in reported or () if job.resume and job.is_finished(frame)}
     with alone(job.folder):
         _sweep(job, keep_analyses=reported is not None and (job.resume or bool(job.shot)))
+    report.note(report.approximated, left_out(bpy.context.scene, job.engine))
     report.write(job.folder)
     with muted():
         writeback.restore()
