@@ -41,6 +41,8 @@ def left_out(scene: bpy.types.Scene, engine: str) -> list[str]:
     if render.use_border and engine:
         out.append("render region: the whole picture is rendered")
     if engine in ("hybrid", "path"):
+        if len(used := [v.name for v in scene.view_layers if v.use]) > 1:
+            out.append(f"view layers: '{used[0]}' alone is rendered, of {len(used)}")
         if render.use_motion_blur:
             out.append("motion blur: pictures are of one moment")
         if render.use_compositing and scene.compositing_node_group is not None:

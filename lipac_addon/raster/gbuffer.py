@@ -10,11 +10,13 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
 from ...core.camera import projection
+from ...core.errors import InputError
 from ...core.primary import HIT, MeshTable, Primary, in_view, pass_camera
 from ...core.scene import F32, I64, Camera, Scene
 
 ROW = 1024  # instances per row of the texture that holds transforms
 _TEXELS = 3  # of an instance: the rows of its transform
+EXACT = 1 << 24  # whole numbers up to this are exact in single precision: of instances in view, and of triangles of a mesh
 
 _VERTEX = """
 void main()
@@ -66,7 +68,8 @@ def _make_shader() -> Any:
 class GBuffer:
     """A scene on the graphics card, to draw first hits of. Everything that camera rays may see is drawn, whether culled or not.
 
-    Raises what `opengl.require` raises. To be used on the thread that made it.
+    `opengl.require` goes before it. To be used on the thread that made it.
+    Raises InputError where there are more instances in view, or triangles of a mesh, than a pixel can tell (EXACT).
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -75,6 +78,7 @@ class GBuffer:
         instances = scene.instances
         chosen = np.flatnonzero(in_view(scene))
         self.order: I64 = chosen[np.argsort(instances.mesh[chosen], kind="stable")]
+        self._check(len(self.order), "instances in view")
         self._shader = _make_shader()
         self._transforms = self._upload()
         self._batches: list[tuple[Any, int, int]] = []
@@ -83,9 +87,15 @@ class GBuffer:
         for mesh, a, b in zip(meshes.tolist(), starts.tolist(), ends.tolist(), strict=True):
             self.meshes.need(np.array([mesh]))
             data = self.meshes[mesh]
+            self._check(len(data.triangles), "triangles of a mesh")
             if len(data.triangles):
                 corners = np.ascontiguousarray(data.positions[data.triangles.ravel()])
                 self._batches.append((batch_for_shader(self._shader, "TRIS", {"position": corners}), a, b - a))
+
+    @staticmethod
+    def _check(count: int, what: str) -> None:
+        if count >= EXACT:
+            raise InputError(f"{count:,} {what} are more than a raster can tell apart ({EXACT - 1:,}): use --primary traced")
 
     def _upload(self) -> Any:
         rows = max(-(-len(self.order) // ROW), 1)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from functools import cache
 
 import bpy
 
 from ...core.errors import InputError
 from ..console import muted
+from ..extract.depsgraph import no_new_images
 
 NO_OPENGL = (
     "no OpenGL here to rasterize with: install EGL and a driver (Debian, Ubuntu: apt install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri; "
@@ -18,6 +20,7 @@ NO_OPENGL = (
 _EGL_PLATFORM_DEVICE = 0x313F
 
 
+@cache
 def has_opengl() -> bool:
     """Whether a display can be opened without a window system. True where windows are always there: Windows, macOS, and Blender with its window open."""
     if sys.platform != "linux" or not bpy.app.background:
@@ -73,7 +76,8 @@ def _wake() -> None:
     scene.render.resolution_x = scene.render.resolution_y = 4
     scene.eevee.taa_render_samples = 1
     try:
-        bpy.ops.render.render(scene=scene.name)
+        with no_new_images():
+            bpy.ops.render.render(scene=scene.name)
     finally:
         data = camera.data
         bpy.data.objects.remove(camera)

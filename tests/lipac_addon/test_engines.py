@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lipac.core.errors import InputError
-from lipac.lipac_addon.engines import render_blender, render_path
+from lipac.lipac_addon.engines import left_out, render_blender, render_path
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
 
@@ -73,3 +73,14 @@ def test_no_camera(boxes, tmp_path):
     boxes.camera = None
     with pytest.raises(InputError, match="cycles cannot render the scene"):
         render_blender("cycles", tmp_path / "a", samples=1)
+
+
+def test_left_out(boxes):
+    """What a scene asks of its renders and an engine does not do is named; what it does not ask is not."""
+    assert [left_out(boxes, engine) for engine in ("", "cycles", "eevee", "hybrid", "path")] == [[]] * 5
+    boxes.render.use_border = boxes.render.use_motion_blur = True
+    boxes.view_layers.new("second")
+    boxes.compositing_node_group = bpy.data.node_groups.new("grade", "CompositorNodeTree")
+    named = {engine: [line.partition(":")[0] for line in left_out(boxes, engine)] for engine in ("", "cycles", "hybrid", "path")}
+    ours = ["render region", "view layers", "motion blur", "compositing"]
+    assert named == {"": [], "cycles": ["render region"], "hybrid": ours, "path": ours}

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from lipac.core.blas import BlasCache
+from lipac.core.errors import InputError
 from lipac.core.primary import MeshTable, trace_primary
 from lipac.core.tlas import Tlas
 from lipac.lipac_addon.extract import extract_frame
@@ -86,3 +87,17 @@ def test_culled_or_not_everything_that_camera_rays_see(boxes):
     names = {extraction.keys.names[k] for k in extraction.keys.records["object"][np.unique(primary.hits["instance"])]}
     assert "wall" not in names
     assert len(np.unique(primary.hits["instance"])) > 300
+
+
+def test_more_than_pixels_can_tell(boxes, monkeypatch):
+    """What a pixel's numbers cannot tell apart is refused in one line, not drawn as something else."""
+    from lipac.lipac_addon.raster import gbuffer
+
+    opengl.require()
+    scene = extract_frame(boxes).scene
+    most = max(len(scene.meshes[mesh].triangles) for mesh in np.unique(scene.instances.mesh))
+    assert 4 < len(scene.instances) < most
+    for limit, said in ((4, "instances in view"), (most, "triangles of a mesh")):
+        monkeypatch.setattr(gbuffer, "EXACT", limit)
+        with pytest.raises(InputError, match=f"{said} are more than .*--primary traced"):
+            gbuffer.GBuffer(scene)

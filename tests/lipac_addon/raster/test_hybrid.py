@@ -261,6 +261,36 @@ def test_passes_hold_lamps_alone(boxes):
     assert not boxes.view_layers[0].use_pass_shadow
 
 
+def settings(scene):
+    """All plain values that passes might change."""
+    things = [scene.render, scene.render.image_settings, scene.eevee, scene.world, *scene.view_layers]
+    return [{p.identifier: str(getattr(t, p.identifier)) for p in t.bl_rna.properties if p.type not in ("POINTER", "COLLECTION")} for t in things]
+
+
+@needs_opengl
+def test_passes_of_any_scene(boxes):
+    """Layers may have dots in their names, and there may be several; passes are of the whole picture at one moment. Everything is as before, also after an
+    error."""
+    boxes.render.image_settings.file_format, boxes.render.image_settings.color_mode, boxes.render.image_settings.color_depth = "PNG", "BW", "16"
+    plain = render_passes(boxes, 1)
+    boxes.view_layers[0].name = "fg.v2"
+    boxes.view_layers.new("second")
+    boxes.render.use_border, boxes.render.border_max_x, boxes.render.use_motion_blur = True, 0.5, True
+    box = bpy.data.objects["box0"]
+    for frame, x in ((0, -3.0), (1, box.location.x), (2, 3.0)):
+        box.location.x = x
+        box.keyframe_insert("location", frame=frame)
+    boxes.frame_set(1)
+    before = settings(boxes)
+    passes = render_passes(boxes, 1)
+    assert settings(boxes) == before
+    np.testing.assert_allclose(passes.direct, plain.direct, atol=1e-3)
+    boxes.camera = None
+    with pytest.raises(InputError, match="eevee cannot render the scene"):
+        render_passes(boxes, 1)
+    assert settings(boxes) == before
+
+
 def test_visible_is_a_share_of_light():
     """A pixel that faces the sun by half and is in no shadow is wholly visible; in half shadow, by half; where no light is, nothing is kept away."""
     one = np.ones((1, 3, 3), np.float32)
