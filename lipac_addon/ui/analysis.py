@@ -28,12 +28,16 @@ class AnalysisJob(Job):
     FAILED = "the analysis failed; see the console"
 
     def __init__(self, scene: bpy.types.Scene, frames: Sequence[int] | None = None, bake: bool = False) -> None:
-        """frames: None takes those that the scene's settings ask for. bake: apply one set for all of them."""
+        """frames: None takes those that the scene's settings ask for. bake: apply one set for all of them. Raises InputError in Edit Mode."""
         super().__init__(scene, "starting")
+        if session.is_edited():
+            raise InputError("leave Edit Mode first: the analysis cannot see what is edited")
         self.results: dict[int, results.FrameResult] = {}
         self.was_applied = False
         self.baked: tuple[int, int] | None = None
         self._bake = bake
+        self._lost = False  # nothing is culled any more, and nothing is known to cull it anew
+        self._set_frame = scene.frame_current
         self._extractor: Extractor | None = None  # these two go from frame to frame: what did not change is not analysed again
         self._shot: Shot | None = None
         self._frames = tuple(frames) if frames is not None else props.asked_frames(scene)
@@ -63,21 +67,26 @@ class AnalysisJob(Job):
         self.progress, self.message = 1.0, "done"
 
     def _finish(self, frame: int) -> None:
-        """Keep the results, go back to the frame that was current, and cull renders again where they were culled before."""
+        """Keep the results, go back to the frame that was current, if the user has not gone to another, and cull renders again where they were before."""
         scene = session.find_scene(self._uid)
         if scene is None:
             return
         if self.results:
             results.put(scene, self.results)
-        if scene.frame_current != frame:
+        if scene.frame_current == self._set_frame != frame:
             scene.frame_set(frame)
-        result = results.at(scene)
+        result = results.of(scene).get(frame)
         if self._bake and self.results:
             shot = results.union(self.results.values())
             applying.apply(scene, shot)
             self.baked = int((~shot.culled).sum()), len(shot.culled)
         elif self.was_applied and result is not None:
             applying.apply(scene, result)
+        else:
+            self._lost = self.was_applied
+
+    def _end(self, error: str) -> None:
+        super()._end(f"{error}. Nothing is hidden from renders any more" if error and self._lost else error)
 
     def _analyse_all(self) -> Generator[None, None, dict[int, results.FrameResult]]:
         """All frames, one after another."""
@@ -98,7 +107,11 @@ class AnalysisJob(Job):
         self.message = f"{name}reading the scene"
         yield
         yield from self._no_render()
-        scene = self._scene()
+        while session.is_edited():
+            self.message = f"{name}waiting for the end of Edit Mode"
+            self._check()
+            yield
+        scene, self._set_frame = self._scene(), number
         extraction = self._extract(scene, number)
         uids = results.session_uids(extraction.keys)
         pinned = props.pinned(extraction.keys, uids)

@@ -37,6 +37,12 @@ def apply(scene: bpy.types.Scene, result: FrameResult, in_render: bool = False) 
     return applied
 
 
+def forget() -> None:
+    """Another file is open."""
+    global notes  # noqa: PLW0603
+    notes = ()
+
+
 def restore() -> bool:
     """Show again all that was hidden, by whichever scene; True where there was something."""
     found = writeback.restore()

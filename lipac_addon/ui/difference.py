@@ -76,7 +76,9 @@ class DifferenceJob(Job):
             log.seek(0)
             said = [line for line in log if line.startswith("LIPAC ")]
             if child.returncode or not said:
-                raise InputError(f"the {what} render failed: render the frame by F12 to see why")
+                log.seek(0)
+                print(log.read(), file=sys.stderr)
+                raise InputError(f"the {what} render failed: render the frame by F12 to see why, or read the console")
         taken: dict[str, float] = json.loads(said[-1].removeprefix("LIPAC "))
         return taken
 

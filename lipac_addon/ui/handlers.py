@@ -43,6 +43,7 @@ def before_load(*_: Any) -> None:
 def after_load(*_: Any) -> None:
     """load_post: results were of another file; what a render hid that never ended (a crash, a file saved meanwhile) is shown again."""
     results.clear()
+    applying.forget()
     overlay.forget()
     if any(scene.lipac.in_render for scene in bpy.data.scenes):
         applying.restore()

@@ -133,13 +133,8 @@ class Live:
         if self._shot is None or self._shot.options != options:
             self._shot, self._rest = Shot(options), 0
             self.error = ""
-        late = self._dirty and (time.monotonic() < self._next_read or self._is_edited(scene))
+        late = self._dirty and (time.monotonic() < self._next_read or session.is_edited())
         return not (self.resting or late or is_busy())
-
-    def _is_edited(self, scene: bpy.types.Scene) -> bool:
-        """Whether a mesh is in Edit Mode: Blender then gives out no faces of it."""
-        active = scene.view_layers[self.layer].objects.active
-        return active is not None and active.mode == "EDIT"
 
     def _round(self, scene: bpy.types.Scene) -> Iterator[None]:
         """Read what changed; do a round of the loop in a thread; take its states."""
@@ -242,6 +237,7 @@ def is_on() -> bool:
 def start() -> None:
     """Switch live mode on: it follows the scene of the first window from now on, through whatever files are opened."""
     global _on  # noqa: PLW0603
+    suspend()
     _on = True
     if not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, first_interval=0.0, persistent=True)
@@ -265,14 +261,19 @@ def suspend() -> None:
 
 
 def tick() -> float:
-    """Called by Blender's timer; returns the seconds until the next call."""
-    global current  # noqa: PLW0603
+    """Called by Blender's timer; returns the seconds until the next call. After an error of ours Blender calls no more: live mode is off."""
+    global current, _on  # noqa: PLW0603
     window = next(iter(bpy.context.window_manager.windows), None)
     if window is not None and _on:
         target = window.scene.session_uid, window.view_layer.name
         if current is None or (current.uid, current.layer) != target:
             suspend()
             current = Live(window.scene, window.view_layer)
-        if current.tick():
+        try:
+            if current.tick():
+                session.redraw()
+        except BaseException:
+            _on = False
             session.redraw()
+            raise
     return INTERVAL

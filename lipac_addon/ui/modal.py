@@ -42,6 +42,10 @@ class JobOperator(Explained):
             return engine.obstacle()
         if job.is_running():
             return BUSY
+        if context.scene.library is not None:
+            return "The scene is linked from another file: analyze it there"
+        if session.is_edited():
+            return "Leave Edit Mode first: the analysis cannot see what is edited"
         return "" if context.scene.camera is not None else "The scene has no active camera"
 
     def make(self, context: bpy.types.Context) -> job.Job:
@@ -86,7 +90,7 @@ class JobOperator(Explained):
         if ended:
             context.window_manager.event_timer_remove(self.timer)
             return {"CANCELLED"}
-        if event.type == "ESC":
+        if event.type == "ESC" and event.value == "PRESS":  # not when a key is let go of that something else was told by
             self.job.cancel()
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":

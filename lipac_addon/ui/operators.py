@@ -71,6 +71,10 @@ class LIPAC_OT_difference(JobOperator, bpy.types.Operator):
         full, culled = found.seconds
         return f"{full:.1f} s in full, {culled:.1f} s culled; the picture changes by {100 * found.mean:.2f} %"
 
+    def wrote(self) -> bool:
+        """The image."""
+        return self.job.difference is not None
+
 
 class LIPAC_OT_live(Explained, bpy.types.Operator):
     """Keep analyzing what the viewport shows, while you work and play back; the overlay follows. Renders go by Analyze"""
@@ -179,7 +183,7 @@ def _unanalyzed(context: bpy.types.Context) -> str:
 
 def _occupied() -> str:
     """Why what renders show cannot be changed now."""
-    return BUSY if job.is_running() else ""
+    return BUSY if job.is_running() else "A render is running: wait for its end" if session.is_rendering() else ""
 
 
 _CLASSES = (

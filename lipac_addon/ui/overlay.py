@@ -197,18 +197,23 @@ def _bar(x: float, y: float, width: float, height: float, colors: Any, opacity: 
     batch_for_shader(shader, "TRI_STRIP", {"pos": corners, "color": shades}).draw(shader)
 
 
+def _wanted(context: bpy.types.Context) -> FrameResult | None:
+    """What to draw in a viewport: nothing where its own switch of all overlays is off."""
+    return source(context.scene) if context.scene.lipac.show_overlay and context.space_data.overlay.show_overlays else None
+
+
 def _draw_view() -> None:
     context = bpy.context
-    result, settings = source(context.scene), context.scene.lipac
-    if settings.show_overlay and result is not None:
+    result, settings = _wanted(context), context.scene.lipac
+    if result is not None:
         matrix = context.region_data.perspective_matrix
         draw_boxes(result, shown(settings), settings.opacity, matrix, settings.in_front, encodes=True, heat_map=settings.heat_map)
 
 
 def _draw_pixels() -> None:
     context = bpy.context
-    result, settings = source(context.scene), context.scene.lipac
-    if settings.show_overlay and result is not None:
+    result, settings = _wanted(context), context.scene.lipac
+    if result is not None:
         draw_legend(result, shown(settings), context.preferences.system.ui_scale, settings.heat_map)
 
 

@@ -37,11 +37,10 @@ role_changes = 0  # how often a role was set: no dependency graph tells
 def _lock_interface(settings: LipacSettings, _context: bpy.types.Context) -> None:
     """Renders that change visibility need a locked interface; the scene's own setting comes back with the switch."""
     render = settings.id_data.render
-    if settings.use_for_renders:
-        settings.lock_was_on = render.use_lock_interface
-        render.use_lock_interface = True
-    elif not settings.lock_was_on:
-        render.use_lock_interface = False
+    if settings.use_for_renders and not render.use_lock_interface:
+        render.use_lock_interface = settings.locked = True
+    elif settings.locked and not settings.use_for_renders:
+        render.use_lock_interface = settings.locked = False
 
 
 def _redraw(settings: LipacSettings, _context: bpy.types.Context) -> None:
@@ -122,7 +121,7 @@ class LipacSettings(bpy.types.PropertyGroup):
     )
     applied: BoolProperty(name="Applied", description="Culled instances are hidden from renders of this file", options={"HIDDEN"})  # type: ignore[valid-type]
     in_render: BoolProperty(name="In a render", description="Culled instances are hidden until the running render ends", options={"HIDDEN"})  # type: ignore[valid-type]
-    lock_was_on: BoolProperty(name="Interface lock", description="Whether the interface was locked before", options={"HIDDEN"})  # type: ignore[valid-type]
+    locked: BoolProperty(name="Interface lock", description="LiPaC locked the interface during renders", options={"HIDDEN"})  # type: ignore[valid-type]
 
 
 class LipacRole(bpy.types.PropertyGroup):

@@ -1,4 +1,4 @@
-"""Blender's session: scenes found again, windows drawn again, renders under way."""
+"""Blender's session: scenes found again, windows drawn again, what the user is at."""
 
 from __future__ import annotations
 
@@ -13,6 +13,12 @@ def find_scene(uid: int) -> bpy.types.Scene | None:
 def is_rendering() -> bool:
     """Whether Blender renders beside the user's work: what the render shows must not change meanwhile."""
     return bool(bpy.app.is_job_running("RENDER"))
+
+
+def is_edited() -> bool:
+    """Whether something is in Edit Mode: Blender then gives out no faces of a mesh, and rest poses of armatures."""
+    active = (layer.objects.active for scene in bpy.data.scenes for layer in scene.view_layers)
+    return any(ob is not None and ob.mode == "EDIT" for ob in active)
 
 
 def redraw() -> None:

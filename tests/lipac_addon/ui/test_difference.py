@@ -61,12 +61,28 @@ def test_cancelled(analyzed):
     assert results.differences == {}
 
 
-def test_a_render_that_fails_is_one_line(analyzed, monkeypatch, tmp_path):
+def test_the_image_outlives_the_undo_of_a_later_edit(analyzed, monkeypatch):
+    def work(measuring):
+        measuring.difference = difference_of([np.ones((9, 16, 4), np.float32)] * 2, [{"seconds": 1.0, "peak_bytes": 1e9}] * 2)
+        difference._show([np.ones((9, 16, 4), np.float32)] * 2)
+        yield
+
+    bpy.ops.ed.undo_push(message="start")
+    monkeypatch.setattr(DifferenceJob, "_work", work)
+    assert bpy.ops.lipac.difference() == {"FINISHED"}
+    bpy.data.objects["box0"].location.y = 1.0
+    bpy.ops.ed.undo_push(message="moved")
+    bpy.ops.ed.undo()
+    assert difference.IMAGE in bpy.data.images
+
+
+def test_a_render_that_fails_is_one_line(analyzed, monkeypatch, tmp_path, capfd):
     broken = tmp_path / "broken.py"
-    broken.write_text("raise SystemExit(3)")
+    broken.write_text("raise SystemExit('no such thing')")
     monkeypatch.setattr(difference, "_CHILD", broken)
     with pytest.raises(RuntimeError, match="full render failed"):
         bpy.ops.lipac.difference()
+    assert "no such thing" in capfd.readouterr().err  # why, for the console
 
 
 def test_not_before_an_analysis_and_not_while_applied(scene):

@@ -95,6 +95,19 @@ def test_the_interface_lock_comes_back(scene, locked):
     assert scene.render.use_lock_interface == locked
 
 
+def test_the_lock_comes_back_when_the_switch_is_set_twice(scene):
+    scene.lipac.use_for_renders = scene.lipac.use_for_renders = True
+    scene.lipac.use_for_renders = False
+    assert not scene.render.use_lock_interface
+
+
+def test_what_stays_is_said_of_this_file_alone(analyzed, boxes_file):
+    analyzed.lipac.use_for_renders = True
+    applying.notes = ("3 culled instances stay in renders: they are shy",)
+    bpy.ops.wm.open_mainfile(filepath=str(boxes_file))
+    assert applying.notes == ()
+
+
 def test_recovery_of_a_file_saved_in_a_render(analyzed, hidden, tmp_path):
     """As if Blender had ended within a render, after a save."""
     applying.apply(analyzed, results.at(analyzed), in_render=True)

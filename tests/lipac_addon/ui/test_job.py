@@ -1,15 +1,18 @@
 """The job beside Blender: stepped on the main thread, meshes loaded there and nowhere else, cancelled, failing, with the file changing under it."""
 
 import threading
+import time
 
 import bpy
 import numpy as np
 import pytest
 
 from lipac.core.errors import Cancelled, InputError
-from lipac.lipac_addon.ui import job, results
+from lipac.lipac_addon.ui import job, results, session
 from lipac.lipac_addon.ui.analysis import AnalysisJob
 from lipac.lipac_addon.ui.background import AskedMeshes
+
+FAR = {"box4", "box5", "box6", "box7"}
 
 
 def test_light_paths_keep_what_they_meet(scene):
@@ -166,6 +169,90 @@ def test_two_scenes_have_results_of_their_own(analyzed):
     assert len(results.at(other).culled) == 1
     assert len(results.at(analyzed).culled) == 10
     np.testing.assert_array_equal(results.at(analyzed).culled.sum(), 4)
+
+
+def test_where_the_user_went_meanwhile(scene):
+    """The playhead goes back to where the analysis took it from, and not from where the user put it."""
+    scene.frame_start, scene.frame_end, scene.lipac.frames = 1, 3, "RANGE"
+    scene.frame_set(9)
+    AnalysisJob(scene).run()
+    assert scene.frame_current == 9
+    scene.lipac.frames = "CURRENT"
+    running = AnalysisJob(scene)
+    while running.step() and not running.message.startswith("reading"):
+        pass
+    running.step()
+    scene.frame_set(20)
+    running.run()
+    assert running.error == ""
+    assert scene.frame_current == 20
+    assert list(results.of(scene)) == [9]
+
+
+@pytest.mark.parametrize("when", ["at its start", "at its end"])
+def test_a_render_meanwhile_is_waited_out(analyzed, hidden, monkeypatch, when):
+    """What it renders stays as it is, cancelled or not."""
+    bpy.ops.lipac.apply()
+    analyzed.lipac.distance = 1000.0
+    rendering = when == "at its start"
+    monkeypatch.setattr(session, "is_rendering", lambda: rendering)
+    running = AnalysisJob(analyzed)
+    while when == "at its end" and not running.message.startswith("reading"):
+        running.step()
+    running.step()
+    before, rendering = hidden(), True
+    assert before == (FAR if when == "at its start" else set())
+    for _ in range(200):  # while it computes, and well after
+        assert running.step()
+        assert hidden() == before
+        time.sleep(0.002)
+    rendering = False
+    running.run()
+    assert (running.error, hidden(), analyzed.lipac.applied) == ("", set(), True)
+
+
+def test_a_render_meanwhile_and_cancelled(analyzed, hidden, monkeypatch):
+    bpy.ops.lipac.apply()
+    rendering = False
+    monkeypatch.setattr(session, "is_rendering", lambda: rendering)
+    running = AnalysisJob(analyzed)
+    while not running.message.startswith("reading"):
+        running.step()
+    rendering = True
+    running.cancel()
+    for _ in range(50):
+        assert running.step()
+        assert hidden() == set()
+    rendering = False
+    running.run()
+    assert "cancelled" in running.error
+    assert hidden() == FAR
+
+
+def test_edit_mode_meanwhile_is_waited_out(scene):
+    scene.frame_start, scene.frame_end, scene.lipac.frames = 1, 2, "RANGE"
+    running = AnalysisJob(scene)
+    while not running.message.startswith("frame 2"):
+        running.step()
+    bpy.context.view_layer.objects.active = bpy.data.objects["wall"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    for _ in range(50):
+        assert running.step()
+    assert "Edit Mode" in running.message
+    bpy.ops.object.mode_set(mode="OBJECT")
+    running.run()
+    assert [len(results.of(scene)[f].state) for f in (1, 2)] == [10, 10]
+
+
+def test_an_error_of_the_disk_is_not_one_of_the_libraries(scene, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(AnalysisJob, "_extract", full)
+    failed = AnalysisJob(scene)
+    failed.run()
+    assert "No space left" in failed.error
+    assert "libraries" not in failed.error
 
 
 @pytest.mark.parametrize("when", ["before the scene is read", "while paths are traced"])

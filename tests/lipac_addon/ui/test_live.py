@@ -311,6 +311,25 @@ def test_a_failure_is_said_once(watched, monkeypatch):
     assert live.current.closed
 
 
+def test_after_a_failure_it_is_off_and_can_be_switched_on(watched, monkeypatch):
+    """Blender does not call a timer again that has failed, so it must not look as if live mode went on."""
+
+    def broken(*_):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(live.Live, "_read", broken)
+    with pytest.raises(ZeroDivisionError):
+        settle()
+    assert not live.is_on()
+    assert "console" in live.current.error  # still to be read
+    monkeypatch.undo()
+    assert bpy.ops.lipac.live() == {"FINISHED"}
+    assert live.is_on()
+    settle()
+    assert live.current.error == ""
+    assert "box0" in kept()
+
+
 def test_while_culling_is_applied_it_waits(watched, analyzed):
     settle()
     bpy.ops.lipac.apply()

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from lipac.lipac_addon.ui import engine, job, operators, results
+from lipac.core.errors import InputError
+from lipac.lipac_addon.ui import engine, job, operators, results, session
 from lipac.lipac_addon.ui.analysis import AnalysisJob
 
 FAR = {"box4", "box5", "box6", "box7"}
@@ -119,10 +120,59 @@ def test_polls(scene, monkeypatch):
     assert not bpy.ops.lipac.analyze.poll()
 
 
+def refusal(operator):
+    """What the tooltip of an operator that cannot run says."""
+    with pytest.raises(RuntimeError) as error:
+        operator()
+    return str(error.value)
+
+
+def test_why_an_operator_cannot_run(scene, boxes_file, monkeypatch):
+    lipac = bpy.ops.lipac
+    assert "Analyze this frame first" in refusal(lipac.apply)
+    assert "Analyze this frame first" in refusal(lipac.difference)
+    lipac.analyze()
+    job.start(lambda: AnalysisJob(scene)).step()
+    for operator in (lipac.analyze, lipac.bake_shot, lipac.apply, lipac.restore, lipac.difference, lipac.clear_cache):
+        assert operators.BUSY in refusal(operator)
+    job.stop()
+    lipac.apply()
+    assert "Restore first" in refusal(lipac.difference)
+    for ob in bpy.context.selected_objects:
+        ob.select_set(False)
+    assert "Select objects" in refusal(lipac.mark)
+    camera, scene.camera = scene.camera, None
+    assert "no active camera" in refusal(lipac.analyze)
+    scene.camera = camera
+    monkeypatch.setattr(session, "is_rendering", lambda: True)
+    for operator in (lipac.apply, lipac.restore):
+        assert "render is running" in refusal(operator)
+    monkeypatch.setattr(engine, "missing", lambda: ("numba",))
+    for operator in (lipac.analyze, lipac.live):
+        assert "missing: numba" in refusal(operator)
+    monkeypatch.undo()
+    with bpy.data.libraries.load(str(boxes_file), link=True) as (_, to):
+        to.scenes = ["Scene"]
+    bpy.context.window.scene = to.scenes[0]
+    assert "linked" in refusal(lipac.analyze)
+
+
+def test_edit_mode_is_left_first(scene):
+    """Blender gives out no faces of a mesh that is edited: the wall would be missing."""
+    bpy.context.view_layer.objects.active = bpy.data.objects["wall"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert "Edit Mode" in refusal(bpy.ops.lipac.analyze)
+    with pytest.raises(InputError, match="Edit Mode"):
+        AnalysisJob(scene)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert bpy.ops.lipac.analyze() == {"FINISHED"}
+
+
 class Modal:
     """The modal operator without an event loop: its methods on a plain object."""
 
     modal, finish, wrote, said = (getattr(operators.LIPAC_OT_analyze, name) for name in ("modal", "finish", "wrote", "said"))
+    bl_label = operators.LIPAC_OT_analyze.bl_label
 
     def __init__(self, scene):
         self.job, self.timer, self.heard = job.start(lambda: AnalysisJob(scene)), None, []
@@ -132,8 +182,8 @@ class Modal:
     def report(self, kind, text):
         self.heard.append(text)
 
-    def event(self, kind):
-        return self.modal(self.context, SimpleNamespace(type=kind))
+    def event(self, kind, value="PRESS"):
+        return self.modal(self.context, SimpleNamespace(type=kind, value=value))
 
     def until_done(self):
         while (answer := self.event("TIMER")) == {"PASS_THROUGH"}:
@@ -152,6 +202,8 @@ def test_modal_escape(scene):
     scene.lipac.policy, scene.lipac.width, scene.lipac.paths = "light-paths", 640, 64
     modal = Modal(scene)
     assert modal.event("TIMER") == {"PASS_THROUGH"}
+    assert modal.event("ESC", "RELEASE") == {"PASS_THROUGH"}  # of another menu or tool
+    assert not modal.job.cancelled
     assert modal.event("ESC") == {"RUNNING_MODAL"}
     assert modal.until_done() == {"CANCELLED"}
     assert modal.heard == ["timer removed", "the analysis was cancelled"]
@@ -163,6 +215,28 @@ def test_modal_ends_when_a_file_is_opened(scene, boxes_file):
     modal.event("TIMER")
     bpy.ops.wm.open_mainfile(filepath=str(boxes_file))
     assert modal.event("TIMER") == {"CANCELLED"}
+
+
+def test_what_was_hidden_and_is_not_any_more_is_said(analyzed, boxes_file, hidden, tmp_path):
+    """Saved with culling applied, opened again: nothing is known that a cancelled analysis could apply again."""
+    bpy.ops.lipac.apply()
+    path = str(tmp_path / "applied.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    modal = Modal(bpy.context.scene)
+    while not modal.job.message.startswith("reading"):
+        modal.event("TIMER")
+    modal.event("ESC")
+    assert modal.until_done() == {"CANCELLED"}
+    assert hidden() == set()
+    assert "Nothing is hidden from renders any more" in modal.heard[-1]
+    bpy.ops.lipac.analyze()
+    bpy.ops.lipac.apply()
+    again = Modal(bpy.context.scene)
+    again.job.cancel()
+    again.until_done()
+    assert hidden() == FAR
+    assert again.heard[-1] == "the analysis was cancelled"
 
 
 @pytest.mark.parametrize("wreck", [ImportError("numba"), OSError("libembree4.so")])

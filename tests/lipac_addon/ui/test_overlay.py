@@ -164,6 +164,20 @@ def test_far_from_the_origin(canvas):
     np.testing.assert_array_equal(here, far)
 
 
+def test_the_viewports_switch_of_all_overlays_counts(canvas, analyzed):
+    area = next(a for a in bpy.context.screen.areas if a.type == "VIEW_3D")
+    switch, region = area.spaces.active.overlay, next(r for r in area.regions if r.type == "WINDOW")
+    analyzed.lipac.show_overlay = True
+    analyzed.lipac.in_front = True
+    for on in (True, False):
+        switch.show_overlays = on
+        with bpy.context.temp_override(area=area, region=region):
+            seen = [canvas(draw)[..., :3].any() for draw in (overlay._draw_view, overlay._draw_pixels)]
+        assert seen[0] == on
+        assert seen == [on, on]
+    switch.show_overlays = True
+
+
 def test_draw_calls_are_constant_and_boxes_are_sent_once(canvas):
     bounds = np.random.default_rng(0).uniform(0, 8, (20_000, 1, 3)) + np.array([[0.0] * 3, [0.1] * 3])
     result = result_of(bounds, bounds[:500], np.arange(20_000) % 3)

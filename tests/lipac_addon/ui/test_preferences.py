@@ -7,7 +7,7 @@ import sys
 import bpy
 import pytest
 
-from lipac.lipac_addon.ui import preferences, props
+from lipac.lipac_addon.ui import kernels, preferences, props
 
 
 @pytest.fixture
@@ -53,6 +53,20 @@ def test_a_memory_budget_is_kept(preferred, scene):
     assert results.at(scene).stats["blas_held_bytes"] <= free / 2
 
 
+def test_kernels_of_other_versions_are_not_counted(tmp_path, monkeypatch):
+    """They are counted twice a second while an analysis runs: only the folder in use is looked at."""
+    monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels-new"))
+    assert kernels.count() == 0
+    for version, numbers in (("kernels-old", range(5)), ("kernels-new", range(3))):
+        (tmp_path / version / "core").mkdir(parents=True)
+        for k in numbers:
+            (tmp_path / version / "core" / f"{k}.nbi").write_bytes(bytes(100))
+    (tmp_path / "kernels-new" / "core" / "0.1.nbc").write_bytes(bytes(100))
+    assert kernels.count() == 3
+    assert kernels.size() == 900
+
+
 CACHE = """
 import os, sys, bpy, lipac
 from lipac.lipac_addon.ui import kernels, preferences
@@ -78,4 +92,25 @@ print("DONE")
 def test_the_cache_folder_and_clearing_it(tmp_path):
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("LIPAC", "NUMBA"))}
     done = subprocess.run([sys.executable, "-c", CACHE, str(tmp_path / "own")], env=environment, capture_output=True, text=True, check=False)
+    assert "DONE" in done.stdout, done.stdout + done.stderr
+
+
+LATER = """
+import bpy, lipac
+lipac.register()
+import lipac.core, late
+assert bpy.ops.lipac.clear_cache() == {"FINISHED"}
+from lipac.lipac_addon.ui import kernels
+assert kernels.count() == 0
+assert late.twice(2) == 4
+assert kernels.count() == 1
+print("DONE")
+"""
+
+
+def test_a_loaded_engine_goes_on_to_keep_kernels_after_clearing(tmp_path):
+    """numba makes the folder of a kernel when it is defined, and fails where it is gone when the kernel is compiled."""
+    (tmp_path / "late.py").write_text("import numba\n\n@numba.njit(cache=True)\ndef twice(x):\n    return 2 * x\n")
+    environment = os.environ | {"LIPAC_CACHE_DIR": str(tmp_path / "own"), "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", LATER], env=environment, capture_output=True, text=True, check=False)
     assert "DONE" in done.stdout, done.stdout + done.stderr
