@@ -93,24 +93,3 @@ def test_the_cache_folder_and_clearing_it(tmp_path):
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("LIPAC", "NUMBA"))}
     done = subprocess.run([sys.executable, "-c", CACHE, str(tmp_path / "own")], env=environment, capture_output=True, text=True, check=False)
     assert "DONE" in done.stdout, done.stdout + done.stderr
-
-
-LATER = """
-import bpy, lipac
-lipac.register()
-import lipac.core, late
-assert bpy.ops.lipac.clear_cache() == {"FINISHED"}
-from lipac.lipac_addon.ui import kernels
-assert kernels.count() == 0
-assert late.twice(2) == 4
-assert kernels.count() == 1
-print("DONE")
-"""
-
-
-def test_a_loaded_engine_goes_on_to_keep_kernels_after_clearing(tmp_path):
-    """numba makes the folder of a kernel when it is defined, and fails where it is gone when the kernel is compiled."""
-    (tmp_path / "late.py").write_text("import numba\n\n@numba.njit(cache=True)\ndef twice(x):\n    return 2 * x\n")
-    environment = os.environ | {"LIPAC_CACHE_DIR": str(tmp_path / "own"), "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run([sys.executable, "-c", LATER], env=environment, capture_output=True, text=True, check=False)
-    assert "DONE" in done.stdout, done.stdout + done.stderr
