@@ -17,17 +17,19 @@ OURS = ("numba", "llvmlite", "embreex", "lipac", "__editable__")
 PYTHON = f"{sys.version_info[0]}{sys.version_info[1]}"
 
 USE = """
-import importlib, importlib.util, os, sys, bpy
+import importlib, importlib.util, os, pkgutil, sys, bpy
 resources, path = sys.argv[1:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 print(bpy.ops.extensions.package_install_files(filepath=path, repo="user_default", enable_on_install=False))
 print(bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lipac"))
 assert "numba" not in sys.modules, "loaded at registration"
-demo = importlib.import_module("bl_ext.user_default.lipac.lipac_addon.demo.mirror_city")
-demo.build(1000, 0)  # begins with factory settings, without add-ons
+def part(name):
+    return importlib.import_module("bl_ext.user_default.lipac." + name)
+part("lipac_addon.demo.mirror_city").build(1000, 0)  # begins with factory settings, without add-ons
 print(bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lipac"))
 scene = bpy.context.scene
 scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples, scene.lipac.width = 64, 36, 1, 64
+scene.lipac.policy, scene.lipac.distance = "distance", 100.0  # light paths would compile for a minute what other tests compile
 scene.render.filepath = os.path.join(resources, "picture.png")
 def state():
     return {ob.name: (ob.hide_render, [m.name for m in ob.modifiers]) for ob in bpy.data.objects}
@@ -42,11 +44,17 @@ bpy.ops.render.render(write_still=True)
 assert os.path.getsize(scene.render.filepath) > 500
 assert bpy.ops.lipac.restore() == {"FINISHED"}
 assert state() == before
-manual = importlib.import_module("bl_ext.user_default.lipac.lipac_addon.ui.manual")
-page, places = manual.manual()
+page, places = part("lipac_addon.ui.manual").manual()
 html = open(page.removeprefix("file://")).read()
 assert page.endswith("user-guide.html")
 assert all(f'id="{place[1:]}"' in html for _, place in places)
+for root in ("core", "lipac_addon", "scripts"):  # all that can be imported is there, with its data
+    for module in pkgutil.walk_packages(part(root).__path__, root + "."):
+        if not module.name.endswith("child_render"):  # a script
+            part(module.name)
+extraction = part("lipac_addon.extract").Extractor(scene).frame(1, keep=False)
+hits = part("lipac_addon.raster.first_hits").TracedHits(extraction.scene).draw((64, 36)).hits
+assert (hits["instance"] >= 0).mean() > 0.5, "the zip's numba and Embree trace no rays"
 kernels = [name for _, _, names in os.walk(resources) for name in names if name.endswith(".nbi")]
 assert kernels, "no compiled kernel in the extension's user folder"
 print(bpy.ops.preferences.addon_disable(module="bl_ext.user_default.lipac"))
