@@ -12,6 +12,7 @@ import numpy as np
 from ..core.evaluate import BUDGETS, COUNTS, HEURISTICS, ORACLE, OURS, RANDOM, Evaluation
 from ..core.report import replacing, size
 from .compare import markdown
+from .hybrid_report import sections
 
 STYLE = {
     OURS: ("tab:red", "o-"),
@@ -203,12 +204,4 @@ def results(folder: Path) -> str:
             c = s["budget_check"]
             lines += ["", f"Measured error within the budget: {c['holding']} of {c['cases']} cases ({c['seeds']} seeds, four budgets)."]
         lines += ["", f"![Error against active share](results/{name}/error_active.png)", ""]
-    return "\n".join(lines).rstrip() + "\n" + hybrid(folder)
-
-
-def hybrid(folder: Path) -> str:
-    """The sections about the hybrid renderer, where a folder has its measurements."""
-    from . import hybrid_pop, hybrid_results
-
-    parts = (("hybrid.json", hybrid_results.section), ("hybrid_pop.json", hybrid_pop.section))
-    return "".join("\n" + section(json.loads((folder / name).read_text())) for name, section in parts if (folder / name).exists())
+    return "\n".join(lines).rstrip() + "\n" + sections(folder)

@@ -25,7 +25,7 @@ from ..core.film import LUMINANCE
 from ..core.report import replacing
 from ..core.scene import F32
 from .evaluate_report import shown
-from .hybrid_results import pictures_folder, write_page
+from .hybrid_report import pictures_folder, pop, write_page
 
 FRAMES = 9
 NEAR, FAR = 9.0, 11.0  # metres from the camera to the slab's middle, along the floor
@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     seen = np.concatenate([np.repeat(np.repeat(shown(result.pictures[k]), 2, 0), 2, 1) for k in rows])
     imsave(pictures_folder(args.output) / "hybrid-pop.png", seen)
     write_page(args.output)
-    print(section(figures))
+    print(pop(figures))
     return 0
 
 
@@ -132,23 +132,6 @@ def frame(scene: Any, cull: CullOptions, primary: str, samples: int) -> tuple[F3
         result, _ = render_hybrid(extract_frame(scene, scene.frame_current).scene, HybridOptions(primary=primary, raster_samples=4), cull, stem, samples)
         layers = read_layers(stem.with_name("frame_layers.exr"))
     return layers["Combined"][..., :3], layers, result.active
-
-
-def section(figures: dict[str, Any]) -> str:
-    """What was measured, for docs/results.md."""
-    from .compare import markdown
-
-    steps = [str(k + 1) for k in range(len(figures["kept"]))]
-    rows = [("frame", *steps), ("slab", *("kept" if kept else "culled" for kept in figures["kept"]))]
-    rows += [(f"shadow, {name}", *(f"{x:.3f}" for x in values)) for name, values in figures["shadow"].items()]
-    rows += [(f"pop, {name}", *(f"{x:.4f}" for x in values)) for name, values in figures["pop"].items()]
-    lines = ["### The pop of a shadow whose caster is culled", ""]
-    lines += ["`python -m lipac.scripts.hybrid_pop -o docs/results`: a camera draws back from a slab, which is culled by its distance, and returns."]
-    lines += ["Brightness of the slab's shadow over that of the lit floor, and how much the shadow, less that of the unculled frame, differs from the"]
-    lines += ["frame before; by what stands in for the shadow of the culled slab.", "", markdown(rows), ""]
-    lines += ["The frame before the slab is culled and the first one without it: unculled, with the raster's shadow maps, with nothing in their place.", ""]
-    lines += ["![Two frames](pictures/hybrid-pop.png)"]
-    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from lipac.scripts import evaluate_report
-from lipac.scripts.hybrid_results import CULLED, PATHS, RASTER, ROUGH, STAGES, TRUTH, WHOLE, cost_table, main, mixtures, render, seconds, write
+from lipac.scripts.hybrid_report import CULLED, RASTER, ROUGH, STAGES, TRUTH, WHOLE, cost_table, mixtures, sections
+from lipac.scripts.hybrid_results import PATHS, main, render, seconds, write
 from lipac.scripts.options import cull_options, scene_parser
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -16,7 +16,7 @@ RESULTS = DOCS / "results"
 
 def test_docs_hold_what_was_measured():
     """The sections in docs/results.md are those of the figures beside it, and every picture that they show is there."""
-    text = evaluate_report.hybrid(RESULTS)
+    text = sections(RESULTS)
     assert (DOCS / "results.md").read_text().endswith(text)
     shown = [line.partition("](")[2].rstrip(")") for line in text.splitlines() if line.startswith("![")]
     assert len(shown) >= 4 and all((DOCS / name).exists() for name in shown)
