@@ -11,8 +11,9 @@ from .budget import Budget, Savings, unseen_share
 from .calibration import Base, Search
 from .culling import CullOptions, heuristic
 from .loop import CullingResult, Loop
+from .path_log import PathLog
 from .progress import Progress, part, silent
-from .scene import F32, RAY_TYPES, Scene
+from .scene import RAY_TYPES, Scene
 
 
 def analyze(
@@ -76,10 +77,10 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     base = Base(measured.log, measured.weights.total.astype(np.float64) * measured.weights.unit if known else None)
     loop.timer.add("feedback_s", start)
 
-    def without(cull: np.ndarray, only: np.ndarray) -> F32:
-        keep = loop.pinned.copy()
+    def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
+        keep = np.zeros(len(loop.active), bool)
         keep[ids[~cull]] = True
-        return loop.trace_paths(keep, measured.first_sample, only)[1]
+        return loop.trace_without(measured, keep, only)
 
     before = None if loop.known is None else loop.known[ids] & ~loop.kept[ids]
     search = Search(base, without, np.where(loop.pinned[ids, None], np.inf, worth), savings, budget, unseen, before, loop.options.hysteresis)

@@ -46,7 +46,7 @@ def enclosing(boxes: Any, run: int) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _spread(x: int) -> int:
+def _spread(x: Any) -> Any:
     """Bits of x (uint64, 16 used) moved to every third place."""
     x = (x | (x << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
     x = (x | (x << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)

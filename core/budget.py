@@ -76,18 +76,24 @@ class Savings:
     """What culling of A TLAS entries saves.
 
     mesh: (A,) int32; bytes_of: (M,) int64, of each BLAS; share: (A,) float64 bytes that an entry saves, its share of the BLAS that it has in common with others
-    of the A included.
+    of the A included. reluctance: (A,) or one for all, what share was divided by.
     """
 
     mesh: I32
     bytes_of: I64
     share: F64
+    reluctance: F64
 
     @staticmethod
     def among(mesh: I32, bytes_of: I64, reluctance: F64 | float = 1.0) -> Savings:
         """For entries with these meshes. reluctance: (A,), divides the share of those that are rather to stay."""
         users = np.bincount(mesh, minlength=len(bytes_of))
-        return Savings(mesh, bytes_of, (ENTRY_BYTES + bytes_of[mesh] / users[mesh]) / reluctance)
+        by = np.broadcast_to(np.asarray(reluctance, np.float64), len(mesh))
+        return Savings(mesh, bytes_of, (ENTRY_BYTES + bytes_of[mesh] / users[mesh]) / by, by)
+
+    def among_these(self, stay: np.ndarray) -> Savings:
+        """For those of the A that stay, (A,) bool, where the others are gone: fewer have a BLAS in common."""
+        return Savings.among(self.mesh[stay], self.bytes_of, self.reluctance[stay])
 
     def of(self, cull: np.ndarray) -> float:
         """Bytes saved by culling all of cull (A,) bool: a BLAS goes when the last of its users does."""

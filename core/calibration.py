@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from .budget import Budget, Savings, Selection, select
 from .path_log import RECORD, PathLog
@@ -18,12 +19,14 @@ from .progress import Progress, silent
 from .scene import F32, F64, I32
 from .tiles import DARK, TILES, tiles_of
 
-TRIALS = 20  # of selections, at most
-PATIENCE = 6  # trials since the last that was the best so far, after which no better one is expected
+TRIALS = 8  # of selections, at most
+THINNINGS = 64  # trials of larger sets than the best one, after that
+PATIENCE = 4  # trials since the last that was the best so far, after which no better one is expected
 WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
 CONFIDENCE = 3.0  # standard deviations of its measurement that are added to the change of a tile
 AIM = 0.95  # of the budget: what the next selection is to use up
-PATHS = 1.0  # traced by all trials together at most, to those of the measurement: a calibration costs no more than what it calibrates
+PATHS = 1.4  # traced by all trials together at most, to those of the measurement: less than all rounds of an analysis together
+FIRST = 0.4  # of them for the first selections, the rest for thinning out
 
 
 @dataclass(frozen=True)
@@ -31,12 +34,13 @@ class Trial:
     """The change of the picture by culling some entries, relative to the luminance of each of T coarse tiles.
 
     change: (T,) float64, signed. deviation: (T,) float64, its standard deviation, from the differences of single paths.
-    entries: (A, T) float64 signed change by the paths that met a culled entry before any other culled one.
+    entries: (A, T) float64 signed change by the paths that met an entry before any other of those that the trial culled; spread: its standard deviation.
     """
 
     change: F64
     deviation: F64
     entries: F64
+    spread: F64
 
     @property
     def mean(self) -> float:
@@ -67,37 +71,48 @@ class Base:
         means = sums / counts
         self.light = counts * np.maximum(means, max(DARK * means.mean(), 1e-30))
 
-    def compare(self, culled: np.ndarray, only: np.ndarray, luminance: F32) -> Trial:
-        """culled: (A,) bool entries; only: `PathLog.affected` of them; luminance: (H, W, S) float32 of the paths marked there, traced without them."""
+    def compare(self, culled: np.ndarray, only: np.ndarray, luminance: F32, before: PathLog | None = None) -> Trial:
+        """The change by culling some entries, (A,) bool, where others are perhaps culled already.
+
+        before: the log without those others (default: the measured one); only: `PathLog.affected` of it; luminance: (H, W, S) float32 of the paths marked there,
+        traced without any of them.
+        """
+        before = before or self.log
         paths = np.flatnonzero(only.reshape(-1))
-        difference = luminance.reshape(-1)[paths].astype(np.float64) - self.log.luminance.reshape(-1)[paths]
+        now = luminance.reshape(-1)[paths].astype(np.float64)
         tile = self.tile[paths]
-        difference /= self.light[tile]
-        change = np.bincount(tile, difference, TILES)
-        deviation = np.sqrt(np.bincount(tile, difference**2, TILES))
-        entries = np.zeros((len(culled), TILES))
-        _attribute(self.log.records.reshape(-1, RECORD), paths, culled, tile, difference, entries)
-        return Trial(change, deviation, entries)
+        entries, squares = np.zeros((len(culled), TILES)), np.zeros((len(culled), TILES))
+        step = (now - before.luminance.reshape(-1)[paths]) / self.light[tile]
+        _attribute(before.records.reshape(-1, RECORD), paths, culled, tile, step, entries, squares)
+        difference = before.luminance.reshape(-1).astype(np.float64) - self.log.luminance.reshape(-1)
+        difference[paths] = now - self.log.luminance.reshape(-1)[paths]
+        difference /= self.light[self.tile]
+        change = np.bincount(self.tile, difference, TILES)
+        deviation = np.sqrt(np.bincount(self.tile, difference**2, TILES))
+        return Trial(change, deviation, entries, np.sqrt(squares))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _attribute(records, paths, culled, tile, difference, entries):
-    """Add each path's difference to the culled entry that it met first."""
+def _attribute(records, paths, culled, tile, difference, entries, squares):
+    """Add each path's difference, and its square, to the culled entry that it met first."""
     for i in range(len(paths)):
         p = paths[i]
         for k in range(1, min(records[p, 0] + 1, RECORD)):
             entry = records[p, k]
             if culled[entry]:
                 entries[entry, tile[i]] += difference[i]
+                squares[entry, tile[i]] += difference[i] ** 2
                 break
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A set that was tried: what its selection predicted, and what was measured."""
+    """A set that was tried: what its selection predicted, and what was measured; which paths were traced again, only (H, W, S) uint8, and what they met."""
 
     selection: Selection
     trial: Trial
+    only: NDArray[np.uint8]
+    log: PathLog
 
     @property
     def cull(self) -> np.ndarray:
@@ -111,7 +126,7 @@ class Search:
     def __init__(
         self,
         base: Base,
-        without: Callable[[np.ndarray, np.ndarray], F32],
+        without: Callable[[np.ndarray, NDArray[np.uint8]], PathLog],
         worth: F64,
         savings: Savings,
         budget: Budget,
@@ -119,7 +134,7 @@ class Search:
         before: np.ndarray | None = None,
         hysteresis: float = 1.0,
     ) -> None:
-        """without: luminance of the paths (H, W, S) that its second argument marks, without the entries that its first, (A,) bool, culls.
+        """without: log of the paths (H, W, S) that its second argument marks, without the entries that its first, (A,) bool, culls.
 
         worth: (A, T) relative change of each tile that culling an entry is expected to make, infinite for what must stay. unseen: change already owed to what
         no path met. before: (A,) bool, what was culled in the last frame: it is so again if that uses up the budget, or all but a factor of hysteresis.
@@ -140,8 +155,8 @@ class Search:
         aim, mean, tiles = AIM, self.budget.mean, np.full(TILES, self.budget.worst)
         tried, last = {best.cull.tobytes()}, TRIALS
         for k in range(TRIALS):
-            progress(k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
-            if best.cull.all() or k - last > PATIENCE:
+            progress(0.5 * k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
+            if best.cull.all() or k - last > PATIENCE or self.traced > FIRST * self.allowed:
                 break
             choice = self._try(self._select(mean, tiles, tried))
             if choice is None:
@@ -158,7 +173,45 @@ class Search:
             predicted = self.worth[choice.cull].sum(axis=0)
             mean = aim * self.budget.mean / float(_ratio(self._mean(choice), float(predicted.mean())))
             tiles = aim * self.budget.worst / _ratio(choice.trial.bound, predicted)
+        return self._thin_out(best, tried, progress)
+
+    def _thin_out(self, best: Choice, tried: set[bytes], progress: Progress) -> Choice:
+        """Cull more and more of what stays, what is predicted to fit the rest of the budget: only paths that differ from those of the best set are traced."""
+        log, share, failed = self.base.log.copy(), 1.0, 0
+        log.update(best.only, best.log)
+        for k in range(THINNINGS):
+            progress(0.5 + 0.5 * k / THINNINGS, f"{len(self.worth) - best.cull.sum():,} instances stay")
+            more = None if failed > PATIENCE or best.cull.all() else self._more(best, share, tried)
+            if more is None:
+                break
+            tried.add(more.cull.tobytes())
+            choice = self._try(more, best.cull, log)
+            if choice is None:
+                share, failed = share / 2, failed + 1
+                continue
+            new = choice.cull & ~best.cull
+            if self._excess(choice) <= 1:
+                log.update(choice.only, choice.log)
+                best, share, failed = choice, min(2 * share, 1.0), 0
+            else:
+                self.worth[new] = np.abs(choice.trial.entries[new]) + CONFIDENCE * choice.trial.spread[new]
+                share, failed = share / 2, failed + 1
         return best
+
+    def _more(self, best: Choice, share: float, tried: set[bytes]) -> Selection | None:
+        """What to cull beyond a set, within a share of what that leaves of the budget; None where nothing is left to try."""
+        stay = ~best.cull
+        savings = self.savings.among_these(stay).share
+        mean = share * max(AIM * self.budget.mean - self._mean(best), (1 - AIM) * self.budget.mean)
+        tiles = share * np.maximum(AIM * self.budget.worst - best.trial.bound, (1 - AIM) * self.budget.worst)
+        for _ in range(WIDENINGS):
+            selected = select(self.worth[stay], savings, mean, tiles)
+            cull = best.cull.copy()
+            cull[stay] = selected.cull
+            if selected.cull.any() and cull.tobytes() not in tried:
+                return Selection(cull, best.selection.mean + selected.mean, best.selection.worst + selected.worst)
+            mean, tiles = WIDER * mean, WIDER * tiles
+        return None
 
     def _select(self, mean: float, tiles: F64, tried: set[bytes]) -> Selection:
         """What saves most within bounds of the predicted change, wider ones where that has been tried: that the rest is too dear is but predicted."""
@@ -187,19 +240,25 @@ class Search:
             return None
         return choice
 
-    def _try(self, selection: Selection) -> Choice | None:
-        """Trace without what a selection culls; None where that would take more paths than are left."""
-        only = self.base.log.affected(selection.cull)
+    def _try(self, selection: Selection, already: np.ndarray | None = None, log: PathLog | None = None) -> Choice | None:
+        """Trace without what a selection culls; None where that would take more paths than are left.
+
+        already: (A,) bool, a part of it, without which log was traced.
+        """
+        before = log or self.base.log
+        new = selection.cull if already is None else selection.cull & ~already
+        only = before.affected(new)
         paths = int(np.count_nonzero(only))
         if self.traced + paths > self.allowed:
             return None
         self.traced += paths
-        luminance = self.without(selection.cull, only) if paths else self.base.log.luminance
-        return Choice(selection, self.base.compare(selection.cull, only, luminance))
+        after = self.without(selection.cull, only) if paths else before
+        return Choice(selection, self.base.compare(new, only, after.luminance, before), only, after)
 
     def _keep_all(self) -> Choice:
-        nothing = np.zeros(TILES)
-        return Choice(Selection(np.zeros(len(self.worth), bool), 0.0, 0.0), Trial(nothing, nothing, np.zeros_like(self.worth)))
+        nothing, log = np.zeros(TILES), self.base.log
+        selection = Selection(np.zeros(len(self.worth), bool), 0.0, 0.0)
+        return Choice(selection, Trial(nothing, nothing, *np.zeros((2, *self.worth.shape))), np.zeros(log.luminance.shape, np.uint8), log)
 
     def _mean(self, choice: Choice) -> float:
         """The mean change, with what is owed to instances that no path met."""

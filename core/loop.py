@@ -24,7 +24,7 @@ from .errors import Cancelled
 from .feedback import Feedback, Weights
 from .film import LUMINANCE, Picture
 from .hitboxes import Hitboxes
-from .path_log import RECORD, PathLog
+from .path_log import RECORD, PathLog, renumber
 from .progress import Progress, part, silent
 from .regions import Cut, Regions
 from .scene import F32, I32, I64, U8, RayType, Scene
@@ -305,6 +305,22 @@ class Loop:
         self.rays += picture.rays
         self.timer.add("trace_s", start)
         return picture.mean, log.luminance
+
+    def trace_without(self, measured: Measurement, keep: np.ndarray, only: NDArray[np.uint8], progress: Progress = silent) -> PathLog:
+        """What a measurement's paths that only, (H, W, S), marks meet with only keep (N,) bool of its instances in the scene, by the numbers of its entries.
+
+        The other paths' part of the log is empty.
+        """
+        tlas = self.build(keep)
+        start = time.perf_counter()
+        log = PathLog.zeros(*only.shape)
+        feedback = Feedback.zeros(len(self.active))  # without which paths are not recorded
+        picture = self._trace(self._dark_but(keep), tlas, only.shape[2], measured.first_sample, feedback, progress, self.size, log, only)
+        by_instance = np.argsort(measured.tlas.ids)
+        renumber(log.records.reshape(-1, RECORD), by_instance[np.searchsorted(measured.tlas.ids[by_instance], tlas.ids)])
+        self.rays += picture.rays
+        self.timer.add("trace_s", start)
+        return log
 
     def _dark_but(self, keep: np.ndarray) -> Prepared:
         """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""

@@ -28,11 +28,28 @@ class PathLog:
         """Nothing traced yet."""
         return PathLog(np.zeros((height, width, samples, RECORD), np.int32), np.zeros((height, width, samples), np.float32))
 
+    def copy(self) -> PathLog:
+        """One of its own."""
+        return PathLog(self.records.copy(), self.luminance.copy())
+
+    def update(self, only: NDArray[np.uint8], other: PathLog) -> None:
+        """Take the paths that only, (H, W, S), marks from another log."""
+        marked = only != 0
+        self.records[marked], self.luminance[marked] = other.records[marked], other.luminance[marked]
+
     def affected(self, culled: np.ndarray) -> NDArray[np.uint8]:
         """1 for each path that met one of the culled TLAS entries, (A,) bool, or more than its record holds: (H, W, S) uint8."""
         out = np.zeros(self.luminance.shape, np.uint8)
         _mark(self.records.reshape(-1, RECORD), np.append(culled, False), out.reshape(-1))
         return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def renumber(records, entries):
+    """Write other numbers into records (P, RECORD) in place: entries[e] for entry e."""
+    for p in range(len(records)):
+        for k in range(1, min(records[p, 0] + 1, RECORD)):
+            records[p, k] = entries[records[p, k]]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -56,6 +56,31 @@ def test_affected_against_a_plain_search() -> None:
     assert log.affected(culled).ravel().tolist() == [int(x) for x in expected]
 
 
+def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
+    """Culling a set in three steps, each tracing only what it changes: luminances, records and changes as of a trace of every path without the whole set."""
+    loop, m = measured
+    base, log = Base(m.log), m.log.copy()
+    culled = np.zeros(len(m.tlas.ids), bool)
+    for seed in range(3):
+        more, _ = cull_some(loop, m, seed)
+        only = log.affected(more & ~culled)
+        keep = np.zeros(len(loop.active), bool)
+        keep[m.tlas.ids[~(culled | more)]] = True
+        assert 0 < only.mean() < 1
+        after = loop.trace_without(m, keep, only)
+        trial = base.compare(more & ~culled, only, after.luminance, log)
+        log.update(only, after)
+        culled |= more
+        everything = loop.trace_without(m, keep, np.ones_like(only))
+        np.testing.assert_array_equal(log.luminance, everything.luminance)
+        entries = np.arange(RECORD) <= np.minimum(log.records[..., :1], RECORD - 1)  # what is behind them is nobody's
+        np.testing.assert_array_equal(np.where(entries, log.records, 0), np.where(entries, everything.records, 0))
+        assert not (culled[log.records[..., 1:]] & entries[..., 1:]).any()
+        at_once = base.compare(culled, m.log.affected(culled), everything.luminance)
+        np.testing.assert_allclose(trial.change, at_once.change, atol=1e-12)
+        np.testing.assert_allclose(trial.deviation, at_once.deviation, atol=1e-12)
+
+
 def test_change_is_that_of_the_picture(measured: tuple[Loop, Measurement]) -> None:
     """By tiles, against the sums of whole pictures: equal but for float32 luminances, 1e-6 of the tile."""
     loop, m = measured
@@ -101,14 +126,14 @@ class Additive:
         self.log.records[..., 1][rng.random(self.log.luminance.shape) < 0.9] = entries - 1  # most paths meet the last one
         self.calls = 0
 
-    def without(self, cull: np.ndarray, only: np.ndarray) -> np.ndarray:
+    def without(self, cull: np.ndarray, only: np.ndarray) -> PathLog:
         self.calls += 1
-        return np.where(only == 1, np.float32(0.9), self.log.luminance)
+        return PathLog(self.log.records, np.where(only == 1, np.float32(0.9), self.log.luminance))
 
     def excess(self, cull: np.ndarray, budget: Budget) -> float:
         """Of the true change, without margin."""
         only = self.log.affected(cull)
-        trial = Base(self.log).compare(cull, only, self.without(cull, only))
+        trial = Base(self.log).compare(cull, only, self.without(cull, only).luminance)
         return max(trial.mean / budget.mean, float(np.abs(trial.change).max()) / budget.worst)
 
 
