@@ -74,8 +74,8 @@ class Base:
     def compare(self, culled: np.ndarray, only: np.ndarray, luminance: F32, before: PathLog | None = None) -> Trial:
         """The change by culling some entries, (A,) bool, where others are perhaps culled already.
 
-        before: the log without those others (default: the measured one); only: `PathLog.affected` of it; luminance: (H, W, S) float32 of the paths marked there,
-        traced without any of them.
+        before: the log without those others (default: the measured one); only: `PathLog.affected` of it; luminance: (H, W, S) float32 of the paths marked
+        there, traced without any of them.
         """
         before = before or self.log
         paths = np.flatnonzero(only.reshape(-1))
