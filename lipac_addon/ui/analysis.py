@@ -18,6 +18,15 @@ if TYPE_CHECKING:
     from ..extract import Extraction, Extractor
 
 
+def obstacle(scene: bpy.types.Scene) -> str:
+    """Why a scene cannot be analysed now, "" where it can."""
+    if scene.library is not None:
+        return "The scene is linked from another file: analyze it there"
+    if any(other.lipac.applied for other in bpy.data.scenes if other != scene):
+        return "Restore first: what was culled for another scene is hidden in this one, too"
+    return "Leave Edit Mode first: the analysis cannot see what is edited" if session.is_edited() else ""
+
+
 class AnalysisJob(Job):
     """The analysis of some frames of a scene.
 
@@ -28,10 +37,10 @@ class AnalysisJob(Job):
     FAILED = "the analysis failed; see the console"
 
     def __init__(self, scene: bpy.types.Scene, frames: Sequence[int] | None = None, bake: bool = False) -> None:
-        """frames: None takes those that the scene's settings ask for. bake: apply one set for all of them. Raises InputError in Edit Mode."""
+        """frames: None takes those that the scene's settings ask for. bake: apply one set for all of them. Raises InputError where there is an obstacle."""
         super().__init__(scene, "starting")
-        if session.is_edited():
-            raise InputError("leave Edit Mode first: the analysis cannot see what is edited")
+        if obstacle(scene):
+            raise InputError(obstacle(scene))
         self.results: dict[int, results.FrameResult] = {}
         self.was_applied = False
         self.baked: tuple[int, int] | None = None

@@ -61,7 +61,7 @@ def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tu
     rows = [("This frame", what)]
     if not result.stats["paths"]:
         return rows
-    if ob.lipac.role == props.PIN:
+    if reason.kept == reason.instances and _is_pinned(ob, bool(reason.paths.any())):
         why = "it is pinned"
     elif not reason.paths.any():
         why = "no light path meets it"
@@ -70,7 +70,14 @@ def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tu
     else:
         why = "light paths meet it"
     rows.append(("Because", why))
+    if reason.kept < reason.instances and ob.lipac.role == props.PIN:
+        rows.append(("In renders", "pinned since: kept"))
     rows += [(f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n]
     if reason.worth > 0:
         rows.append(("Worth at most", f"{100 * reason.worth:.3g} % of the picture"))
     return rows
+
+
+def _is_pinned(ob: bpy.types.Object, met: bool) -> bool:
+    """Whether it is pinned. All collections are looked through only for what no light path met."""
+    return ob.lipac.role == props.PIN or (not met and ob in props.marked(props.PIN))

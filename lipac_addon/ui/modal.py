@@ -42,10 +42,6 @@ class JobOperator(Explained):
             return engine.obstacle()
         if job.is_running():
             return BUSY
-        if context.scene.library is not None:
-            return "The scene is linked from another file: analyze it there"
-        if session.is_edited():
-            return "Leave Edit Mode first: the analysis cannot see what is edited"
         return "" if context.scene.camera is not None else "The scene has no active camera"
 
     def make(self, context: bpy.types.Context) -> job.Job:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import EnumProperty
 
-from . import applying, engine, job, kernels, live, props, results, session
+from . import analysis, applying, engine, job, kernels, live, props, results, session
 from .analysis import AnalysisJob
 from .difference import DifferenceJob
 from .modal import BUSY, Explained, JobOperator
@@ -15,7 +15,13 @@ from .modal import BUSY, Explained, JobOperator
 _UNANALYZED = "Analyze this frame first"
 
 
-class LIPAC_OT_analyze(JobOperator, bpy.types.Operator):
+class _Analysis(JobOperator):
+    @classmethod
+    def obstacle(cls, context: bpy.types.Context) -> str:
+        return super().obstacle(context) or analysis.obstacle(context.scene)
+
+
+class LIPAC_OT_analyze(_Analysis, bpy.types.Operator):
     """Find out which instances the picture needs, by tracing light paths. Nothing is hidden yet. Esc cancels"""
 
     bl_idname = "lipac.analyze"
@@ -34,7 +40,7 @@ class LIPAC_OT_analyze(JobOperator, bpy.types.Operator):
         return self.job.was_applied
 
 
-class LIPAC_OT_bake_shot(JobOperator, bpy.types.Operator):
+class LIPAC_OT_bake_shot(_Analysis, bpy.types.Operator):
     """Analyze all frames of the scene's range, and hide from renders what none of them needs, until Restore. Nothing flickers. Esc cancels"""
 
     bl_idname = "lipac.bake_shot"

@@ -153,6 +153,12 @@ def test_why_an_operator_cannot_run(scene, boxes_file, monkeypatch):
     monkeypatch.undo()
     with bpy.data.libraries.load(str(boxes_file), link=True) as (_, to):
         to.scenes = ["Scene"]
+    other = bpy.data.scenes.new("other")
+    other.camera = camera
+    bpy.context.window.scene = other
+    assert "another scene" in refusal(lipac.analyze)  # of which culling is applied
+    lipac.restore()
+    assert lipac.analyze.poll()
     bpy.context.window.scene = to.scenes[0]
     assert "linked" in refusal(lipac.analyze)
 

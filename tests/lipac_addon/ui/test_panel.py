@@ -106,8 +106,19 @@ def test_why(scene, drawn):
     """Of the active object: kept by light paths, culled without, pinned."""
     scene.lipac.policy, scene.lipac.width = "light-paths", 64
     bpy.data.objects["box6"].lipac.role = "PIN"
+    pins = bpy.data.collections.new("pins")
+    scene.collection.children.link(pins)
+    pins.objects.link(bpy.data.objects["box7"])
+    pins.lipac.role = "PIN"
     bpy.ops.lipac.analyze()
-    said = {"box0": ("light paths meet it", "Camera paths", "Worth at most"), "box5": ("no light path", "culled"), "box6": ("pinned", "kept")}
+    bpy.data.objects["box4"].lipac.role = "PIN"  # after the analysis
+    said = {
+        "box7": ("pinned", "kept"),
+        "box4": ("culled", "no light path", "pinned since"),
+        "box0": ("light paths meet it", "Camera paths", "Worth at most"),
+        "box5": ("no light path", "culled"),
+        "box6": ("pinned", "kept"),
+    }
     for name, texts in said.items():
         bpy.context.view_layer.objects.active = bpy.data.objects[name]
         shown = drawn(panel.LIPAC_PT_object)
