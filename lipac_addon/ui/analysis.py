@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from ..extract import Extraction, Extractor
 
 
+LOST = "Nothing is hidden from renders any more"
+
+
 def obstacle(scene: bpy.types.Scene) -> str:
     """Why a scene cannot be analysed now, "" where it can."""
     if scene.library is not None:
@@ -30,7 +33,8 @@ def obstacle(scene: bpy.types.Scene) -> str:
 class AnalysisJob(Job):
     """The analysis of some frames of a scene.
 
-    results: by frame, in the end; was_applied: renders were culled before, and are culled anew; baked: instances that some frame needs, and of all.
+    results: by frame, in the end; was_applied: renders were culled before, and are culled anew, but where nothing is known of their frame: lost.
+    baked: instances that some frame needs, and of all.
     """
 
     CANCELLED = "the analysis was cancelled"
@@ -42,10 +46,9 @@ class AnalysisJob(Job):
         if obstacle(scene):
             raise InputError(obstacle(scene))
         self.results: dict[int, results.FrameResult] = {}
-        self.was_applied = False
+        self.was_applied = self.lost = False
         self.baked: tuple[int, int] | None = None
         self._bake = bake
-        self._lost = False  # nothing is culled any more, and nothing is known to cull it anew
         self._set_frame = scene.frame_current
         self._extractor: Extractor | None = None  # these two go from frame to frame: what did not change is not analysed again
         self._shot: Shot | None = None
@@ -62,10 +65,7 @@ class AnalysisJob(Job):
         if self.was_applied:
             applying.restore()
         try:
-            try:
-                self.results = yield from self._analyse_all()
-            finally:
-                self._extractor = self._shot = None  # their memory
+            self.results = yield from self._analyse_all()
         except Exception:
             yield from self._render_ended()
             raise
@@ -77,6 +77,7 @@ class AnalysisJob(Job):
 
     def _finish(self, frame: int) -> None:
         """Keep the results, go back to the frame that was current, if the user has not gone to another, and cull renders again where they were before."""
+        self._extractor = self._shot = None  # their memory
         scene = session.find_scene(self._uid)
         if scene is None:
             return
@@ -92,10 +93,10 @@ class AnalysisJob(Job):
         elif self.was_applied and result is not None:
             applying.apply(scene, result)
         else:
-            self._lost = self.was_applied
+            self.lost = self.was_applied
 
     def _end(self, error: str) -> None:
-        super()._end(f"{error}. Nothing is hidden from renders any more" if error and self._lost else error)
+        super()._end(f"{error}. {LOST}" if error and self.lost else error)
 
     def _analyse_all(self) -> Generator[None, None, dict[int, results.FrameResult]]:
         """All frames, one after another."""

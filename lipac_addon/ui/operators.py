@@ -16,6 +16,8 @@ _UNANALYZED = "Analyze this frame first"
 
 
 class _Analysis(JobOperator):
+    """An operator that analyses the scene."""
+
     @classmethod
     def obstacle(cls, context: bpy.types.Context) -> str:
         return super().obstacle(context) or analysis.obstacle(context.scene)
@@ -33,7 +35,8 @@ class LIPAC_OT_analyze(_Analysis, bpy.types.Operator):
     def said(self) -> str:
         culled = [int(r.culled.sum()) for r in self.job.results.values()]
         total = [len(r.culled) for r in self.job.results.values()]
-        return f"The picture needs {sum(total) - sum(culled):,} of {sum(total):,} instances"
+        needs = f"The picture needs {sum(total) - sum(culled):,} of {sum(total):,} instances"
+        return f"{needs}. {analysis.LOST}" if self.job.lost else needs
 
     def wrote(self) -> bool:
         """Where renders were culled before, they are culled anew."""

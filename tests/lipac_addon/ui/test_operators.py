@@ -236,6 +236,13 @@ def test_what_was_hidden_and_is_not_any_more_is_said(analyzed, boxes_file, hidde
     assert modal.until_done() == {"CANCELLED"}
     assert hidden() == set()
     assert "Nothing is hidden from renders any more" in modal.heard[-1]
+    bpy.ops.wm.open_mainfile(filepath=path)
+    bpy.context.scene.lipac.frames, bpy.context.scene.frame_start, bpy.context.scene.frame_end = "RANGE", 5, 6  # not the current one
+    modal = Modal(bpy.context.scene)
+    assert modal.until_done() == {"FINISHED"}
+    assert hidden() == set()
+    assert "Nothing is hidden from renders any more" in modal.heard[-1]
+    bpy.context.scene.lipac.frames = "CURRENT"
     bpy.ops.lipac.analyze()
     bpy.ops.lipac.apply()
     again = Modal(bpy.context.scene)
