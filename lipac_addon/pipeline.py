@@ -141,7 +141,7 @@ class Session:
     def __init__(self, job: Job) -> None:
         self.job = job
         self.keep = job.engine in ("", "path") and len(job.frames) > 1  # other engines make Blender free the graph
-        self._extractor = Extractor(bpy.context.scene)
+        self._extractor: Extractor | None = None
         self._shot: Shot | None = None
 
     def __enter__(self) -> Session:
@@ -156,10 +156,12 @@ class Session:
 
     def close(self) -> None:
         """Let go of everything, in Blender too."""
+        if self._extractor is None:
+            return
         self.forget()
         with muted():
             self._extractor.release()
-        self._extractor = Extractor(bpy.context.scene)
+        self._extractor = None
         gc.collect()
 
     def sync(self, frame: int) -> tuple[Extraction, dict[str, Any]]:
@@ -167,6 +169,7 @@ class Session:
         start = time.perf_counter()
         with muted():
             writeback.restore()
+            self._extractor = self._extractor or Extractor(bpy.context.scene)
             extraction = self._extractor.frame(frame, self.keep)
         return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}
 
@@ -227,7 +230,8 @@ def run_frame(session: Session, frame: int, report: Report, progress: Progress =
         del extraction, result, keys
         if last:
             session.close()  # the render needs the memory
-        gc.collect()
+        else:
+            gc.collect()
         entry["render_s"] = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, rest)
         entry |= _verified(job, None, None, rest, cancelled)
     report.add_frame(entry, approximated, warnings)
