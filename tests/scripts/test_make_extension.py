@@ -29,7 +29,6 @@ part("lipac_addon.demo.mirror_city").build(1000, 0)  # begins with factory setti
 print(bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lipac"))
 scene = bpy.context.scene
 scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples, scene.lipac.width = 64, 36, 1, 64
-scene.lipac.policy, scene.lipac.distance = "distance", 100.0  # light paths would compile for a minute what other tests compile
 scene.render.filepath = os.path.join(resources, "picture.png")
 def state():
     return {ob.name: (ob.hide_render, [m.name for m in ob.modifiers]) for ob in bpy.data.objects}
