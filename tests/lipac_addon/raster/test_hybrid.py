@@ -113,7 +113,7 @@ def test_sequence(ride_file, tmp_path):
     """Frames that are mixed with the raster are the same whichever process renders them, and after whichever others: at the end of a range, or alone, and by
     --resume into a folder that has the next one. Their layers have the same names."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    command = ["render", str(ride_file), *FAST, "--samples", "16", "--cull", "distance", "--distance", "7.2"]
+    command = ["render", str(ride_file), *FAST, "--raster-samples", "1", "--samples", "8", "--cull", "distance", "--distance", "7.2"]
     assert main([*command, "-o", str(whole), "--frames", "1-2"]) == 0
     assert main([*command, "-o", str(parts), "--frames", "2"]) == 0
     assert main([*command, "-o", str(parts), "--frames", "1-2", "--resume"]) == 0
@@ -135,9 +135,9 @@ def test_raster_alone_is_eevee(scene_file, tmp_path, monkeypatch):
     monkeypatch.setattr("lipac.core.hybrid.share_of_paths", lambda *_: 0.0)
     bpy.ops.wm.open_mainfile(filepath=str(scene_file))
     scene, cull = extract_frame(bpy.context.scene).scene, CullOptions(policy="distance", distance=0.0)
-    _, figures = render_hybrid(scene, HybridOptions(raster_samples=2), cull, tmp_path / "hybrid", 4)
+    _, figures = render_hybrid(scene, HybridOptions(raster_samples=1), cull, tmp_path / "hybrid", 1)
     assert figures["path_share"] == 0
-    render_blender("eevee", tmp_path / "eevee", samples=2)
+    render_blender("eevee", tmp_path / "eevee", samples=1)
     for ending in (".exr", ".png"):
         np.testing.assert_array_equal(*(read_picture(tmp_path / f"{name}{ending}")[..., :3] for name in ("hybrid", "eevee")))
 
