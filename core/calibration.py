@@ -19,14 +19,12 @@ from .progress import Progress, silent
 from .scene import F32, F64, I32
 from .tiles import DARK, TILES, tiles_of
 
-TRIALS = 8  # of selections, at most
-THINNINGS = 64  # trials of larger sets than the best one, after that
-PATIENCE = 4  # trials since the last that was the best so far, after which no better one is expected
+TRIALS = 64  # at most
+PATIENCE = 4  # trials in a row that break the budget, after which none is expected to keep it
 WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
 CONFIDENCE = 3.0  # standard deviations of its measurement that are added to the change of a tile
-AIM = 0.95  # of the budget: what the next selection is to use up
+AIM = 0.95  # of the budget: what is to be used up; but what is left of it is taken to be at least the rest, for worth is no more than a prediction
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement: less than all rounds of an analysis together
-FIRST = 0.4  # of them for the first selections, the rest for thinning out
 
 
 @dataclass(frozen=True)
@@ -144,65 +142,41 @@ class Search:
         self.before, self.hysteresis = before, hysteresis
         self.allowed = int(PATHS * base.log.luminance.size)
         self.traced = 0
-        self.known = np.zeros(len(worth), bool)  # whose worth has been measured
 
     def run(self, progress: Progress = silent) -> Choice:
-        """The best of some selections. Each keeps to bounds in which the one before would have kept to the budget, had it been predicted as it was measured."""
+        """The largest set found. Beginning with what no path meets, more and more is culled: what is predicted to fit the rest of the budget."""
         settled = self._as_before()
         if settled is not None:
             return settled
-        best = self._try(self._select(0.0, np.zeros(TILES), set())) or self._keep_all()
-        aim, mean, tiles = AIM, self.budget.mean, np.full(TILES, self.budget.worst)
-        tried, last = {best.cull.tobytes()}, TRIALS
-        for k in range(TRIALS):
-            progress(0.5 * k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
-            if best.cull.all() or k - last > PATIENCE or self.traced > FIRST * self.allowed:
-                break
-            choice = self._try(self._select(mean, tiles, tried))
-            if choice is None:
-                mean, tiles = mean / 2, tiles / 2
-                continue
-            tried.add(choice.cull.tobytes())
-            self._learn(choice)
-            if self._excess(choice) > 1:
-                aim *= AIM if last < TRIALS else AIM**2  # anything within the budget is better than nothing
-            else:
-                aim = min(aim / AIM**0.5, AIM)
-                if self.savings.of(choice.cull) > self.savings.of(best.cull):
-                    best, last = choice, k
-            predicted = self.worth[choice.cull].sum(axis=0)
-            mean = aim * self.budget.mean / float(_ratio(self._mean(choice), float(predicted.mean())))
-            tiles = aim * self.budget.worst / _ratio(choice.trial.bound, predicted)
-        return self._thin_out(best, tried, progress)
-
-    def _thin_out(self, best: Choice, tried: set[bytes], progress: Progress) -> Choice:
-        """Cull more and more of what stays, what is predicted to fit the rest of the budget: only paths that differ from those of the best set are traced."""
+        best = self._unmet()
         log, share, failed = self.base.log.copy(), 1.0, 0
         log.update(best.only, best.log)
-        for k in range(THINNINGS):
-            progress(0.5 + 0.5 * k / THINNINGS, f"{len(self.worth) - best.cull.sum():,} instances stay")
+        tried = {best.cull.tobytes()}
+        for k in range(TRIALS):
+            progress(k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
             more = None if failed > PATIENCE or best.cull.all() else self._more(best, share, tried)
             if more is None:
                 break
             tried.add(more.cull.tobytes())
             choice = self._try(more, best.cull, log)
-            if choice is None:
-                share, failed = share / 2, failed + 1
-                continue
-            new = choice.cull & ~best.cull
-            if self._excess(choice) <= 1:
+            if choice is not None and self._excess(choice) <= 1:
                 log.update(choice.only, choice.log)
                 best, share, failed = choice, min(2 * share, 1.0), 0
-            else:
-                self.worth[new] = np.abs(choice.trial.entries[new]) + CONFIDENCE * choice.trial.spread[new]
-                share, failed = share / 2, failed + 1
+                continue
+            share, failed = share / 2, failed + 1
+            if choice is not None:
+                self._learn(choice, choice.cull & ~best.cull)
         return best
+
+    def _learn(self, choice: Choice, new: np.ndarray) -> None:
+        """What is measured is known better than what was predicted. new: (A,) bool, what the choice culls beyond the set that it began with."""
+        self.worth[new] = np.abs(choice.trial.entries[new]) + CONFIDENCE * choice.trial.spread[new]
 
     def _more(self, best: Choice, share: float, tried: set[bytes]) -> Selection | None:
         """What to cull beyond a set, within a share of what that leaves of the budget; None where nothing is left to try."""
         stay = ~best.cull
         savings = self.savings.among_these(stay).share
-        mean = share * max(AIM * self.budget.mean - self._mean(best), (1 - AIM) * self.budget.mean)
+        mean = share * max(AIM * self.budget.mean - max(self._mean(best), self.unseen), (1 - AIM) * self.budget.mean)
         tiles = share * np.maximum(AIM * self.budget.worst - best.trial.bound, (1 - AIM) * self.budget.worst)
         for _ in range(WIDENINGS):
             selected = select(self.worth[stay], savings, mean, tiles)
@@ -213,52 +187,39 @@ class Search:
             mean, tiles = WIDER * mean, WIDER * tiles
         return None
 
-    def _select(self, mean: float, tiles: F64, tried: set[bytes]) -> Selection:
-        """What saves most within bounds of the predicted change, wider ones where that has been tried: that the rest is too dear is but predicted."""
-        for _ in range(WIDENINGS):
-            selection = select(self.worth, self.savings.share, mean, tiles, min(self.unseen, 0.5 * mean))
-            if selection.cull.tobytes() not in tried:
-                break
-            mean, tiles = WIDER * mean, WIDER * tiles
-        return selection
-
-    def _learn(self, choice: Choice) -> None:
-        """What is measured is known better than what was predicted; of several measurements the largest, as others hide what lies behind them."""
-        cull = choice.cull
-        measured = np.abs(choice.trial.entries[cull])
-        self.worth[cull] = np.where(self.known[cull, None], np.maximum(measured, self.worth[cull]), measured)
-        self.known |= cull
-
     def _as_before(self) -> Choice | None:
         """What was culled in the last frame, and what no path meets; None where that breaks the budget or leaves much of it."""
         if self.before is None:
             return None
         cull = (self.before | (self.worth.sum(axis=1) == 0)) & np.isfinite(self.worth).all(axis=1)
         change = self.worth[cull].sum(axis=0)
-        choice = self._try(Selection(cull, float(change.mean()), float(change.max())))
+        choice = self._try(Selection(cull, float(change.mean()), float(change.max())), np.zeros(len(cull), bool), self.base.log)
         if choice is None or not 1 / self.hysteresis <= self._excess(choice) <= 1:
             return None
         return choice
 
-    def _try(self, selection: Selection, already: np.ndarray | None = None, log: PathLog | None = None) -> Choice | None:
+    def _try(self, selection: Selection, already: np.ndarray, log: PathLog) -> Choice | None:
         """Trace without what a selection culls; None where that would take more paths than are left.
 
-        already: (A,) bool, a part of it, without which log was traced.
+        already: (A,) bool, a part of it, without which log was traced: only paths that met what else is culled can differ from that.
         """
-        before = log or self.base.log
-        new = selection.cull if already is None else selection.cull & ~already
-        only = before.affected(new)
+        new = selection.cull & ~already
+        only = log.affected(new)
         paths = int(np.count_nonzero(only))
         if self.traced + paths > self.allowed:
             return None
         self.traced += paths
-        after = self.without(selection.cull, only) if paths else before
-        return Choice(selection, self.base.compare(new, only, after.luminance, before), only, after)
+        after = self.without(selection.cull, only) if paths else log
+        return Choice(selection, self.base.compare(new, only, after.luminance, log), only, after)
 
-    def _keep_all(self) -> Choice:
-        nothing, log = np.zeros(TILES), self.base.log
-        selection = Selection(np.zeros(len(self.worth), bool), 0.0, 0.0)
-        return Choice(selection, Trial(nothing, nothing, *np.zeros((2, *self.worth.shape))), np.zeros(log.luminance.shape, np.uint8), log)
+    def _unmet(self) -> Choice:
+        """The set of what is worth nothing, which no path met; or nothing at all, where that breaks the budget all the same."""
+        nothing, log = np.zeros(len(self.worth), bool), self.base.log
+        choice = self._try(Selection(self.worth.sum(axis=1) == 0, 0.0, 0.0), nothing, log)
+        if choice is not None and self._excess(choice) <= 1:
+            return choice
+        same = Trial(np.zeros(TILES), np.zeros(TILES), *np.zeros((2, *self.worth.shape)))
+        return Choice(Selection(nothing, 0.0, 0.0), same, np.zeros(log.luminance.shape, np.uint8), log)
 
     def _mean(self, choice: Choice) -> float:
         """The mean change, with what is owed to instances that no path met."""
@@ -268,8 +229,3 @@ class Search:
         """The change over what the budget allows, of the bound that is nearer to being broken."""
         changes = ((self._mean(choice), self.budget.mean), (choice.trial.worst, self.budget.worst))
         return max(change / max(bound, 1e-30) if change else 0.0 for change, bound in changes)
-
-
-def _ratio(found: F64 | float, predicted: F64 | float) -> F64:
-    """How many times more was found than predicted, no more than twice either way; 1 where nothing was predicted."""
-    return np.clip(np.where(predicted > 0, found / np.maximum(predicted, 1e-30), 1.0), 0.5, 2.0)

@@ -124,10 +124,11 @@ class Additive:
         self.log.luminance[:] = 1.0
         self.log.records[..., 0], self.log.records[..., 1] = 1, rng.integers(0, entries, self.log.luminance.shape)
         self.log.records[..., 1][rng.random(self.log.luminance.shape) < 0.9] = entries - 1  # most paths meet the last one
-        self.calls = 0
+        self.traced = self.met = 0  # paths: that were asked for, and that met anything culled
 
     def without(self, cull: np.ndarray, only: np.ndarray) -> PathLog:
-        self.calls += 1
+        self.traced += int(only.sum())
+        self.met += int(self.log.affected(cull).sum())
         return PathLog(self.log.records, np.where(only == 1, np.float32(0.9), self.log.luminance))
 
     def excess(self, cull: np.ndarray, budget: Budget) -> float:
@@ -147,6 +148,7 @@ def test_search_spends_the_budget_and_no_more() -> None:
         only = world.log.affected(np.arange(10) == entry)
         worth[entry] = np.bincount(Base(world.log).tile, only.ravel(), TILES) / Base(world.log).light
     chosen = Search(Base(world.log), world.without, worth, savings, budget).run()
+    assert 0 < world.traced < 0.7 * world.met  # larger sets at the cost of what is new in them
     assert world.excess(chosen.cull, budget) <= 1
     assert chosen.trial.worst >= np.abs(chosen.trial.change).max() + CONFIDENCE * chosen.trial.deviation.min()
     most = max(sum(s) for s in itertools.product((0, 1), repeat=10) if world.excess(np.array(s, bool), budget) <= 1)
