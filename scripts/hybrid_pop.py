@@ -88,15 +88,16 @@ def measure(frames: int, size: tuple[int, int], samples: int) -> Pop:
         dark, lit = floor & (layers["Shadow"] < 0.5), floor & (layers["Shadow"] > 0.5)
         bright = float(np.median(whole[lit] @ LUMINANCE))
         shadow["unculled"].append(float((whole[dark] @ LUMINANCE).mean()) / bright)
-        row = [whole]
-        for name, primary in FALLBACKS.items():
-            picture, _, active = frame(scene, CullOptions(policy="distance", distance=KEPT), primary, samples)
+        row, cull = [whole], CullOptions(policy="distance", distance=KEPT)
+        without, _, active = frame(scene, cull, FALLBACKS["none"], samples)
+        kept.append(bool(active.all()))
+        raster = whole if kept[-1] else frame(scene, cull, FALLBACKS["raster shadow maps"], samples)[0]
+        for name, picture in zip(FALLBACKS, (raster, without), strict=True):
             shadow[name].append(float((picture[dark] @ LUMINANCE).mean()) / bright)
             difference = (picture - whole) @ LUMINANCE / bright
             pop[name].append(float(np.abs(difference - before[name])[dark].mean()) if k else 0.0)
             before[name] = difference
             row.append(picture)
-        kept.append(bool(active.all()))
         pictures.append(np.concatenate(row, axis=1))
     return Pop(kept, shadow, pop, pictures)
 
