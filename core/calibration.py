@@ -22,7 +22,7 @@ from .tiles import DARK, TILES, tiles_of
 TRIALS = 64  # at most
 PATIENCE = 4  # trials in a row that break the budget, after which none is expected to keep it
 WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
-CONFIDENCE = 3.0  # standard deviations of its measurement that are added to the change of a tile
+CONFIDENCE = 4.0  # standard deviations of its measurement that are added to the change of a tile, the worst of many in the best of many trials
 AIM = 0.95  # of the budget: what is to be used up; but what is left of it is taken to be at least the rest, for worth is no more than a prediction
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement: less than all rounds of an analysis together
 
