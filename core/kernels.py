@@ -1,38 +1,16 @@
-"""Compiled kernels: loaded ahead while something else goes on, and, the first time, compiled, which is said."""
+"""Kernels are compiled the first time that they are called, and this is said."""
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 
-from numba import int64, uint64
 from numba.core import event
 
 from .progress import Progress
 
 KERNELS = 170  # compilations until every kernel is there, about: for the time left
-
-
-def load_ahead() -> None:
-    """Load the engine and its kernels in a thread of their own, where they were compiled before: whoever needs them finds them there, or waits for the rest.
-
-    Worth while before work that leaves Python alone, such as Blender opening a file. It does nothing that would not be done later.
-    """
-    folder = os.environ.get("NUMBA_CACHE_DIR")  # by kernel_cache
-    if not folder or not any(Path(folder).rglob("path_kernel.trace_tile-*.nbi")):
-        return
-
-    def load() -> None:
-        with suppress(Exception):  # whoever needs it meets the error, and can tell the user
-            from . import frames  # noqa: F401
-            from .path_kernel import trace_tile
-
-            trace_tile.compile((int64, int64, int64, int64, uint64[::1]))
-
-    threading.Thread(target=load, name="kernels").start()
 
 
 class _Compiling(event.Listener):
