@@ -1,11 +1,13 @@
 """Progress of long work: a callback that the work calls, and a terminal line with the time left.
 
-Work takes `progress: Progress` and calls it as often as it likes, `progress(fraction, what)`: fraction in [0, 1] of the whole work, what in a few words.
+Work takes `progress: Progress` and calls it as often as it likes, `progress(fraction, what)`: fraction in [0, 1] of the whole work, NaN where that is not
+known, what in a few words.
 It never prints by itself.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import TextIO
@@ -53,7 +55,7 @@ class Terminal:
 
     def __call__(self, fraction: float, what: str) -> None:
         now = self.now()
-        if self.first is None:
+        if self.first is None and not math.isnan(fraction):
             self.start, self.first = now, fraction
         if now - self.last < self.interval:
             return
@@ -62,6 +64,8 @@ class Terminal:
 
     def line(self, fraction: float, what: str, now: float) -> str:
         """The text of one update: percentage, what is done, time spent and time left."""
+        if math.isnan(fraction):
+            return f"      {what} ({clock(now - self.start)})"
         spent, done = now - self.start, fraction - (self.first or 0.0)
         left = f", {clock(spent * (1.0 - fraction) / done)} left" if done > 0.01 and spent > 1.0 else ""
         return f"{100 * min(max(fraction, 0.0), 1.0):3.0f} % {what} ({clock(spent)}{left})"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numba
 
 from lipac.core.kernels import telling
@@ -26,4 +28,4 @@ def test_compiling_is_said_and_nothing_else_meanwhile():
     assert said[0] == (0.5, "tracing")
     assert said[-1] == (0.6, "building")
     assert len(said) == 4
-    assert all(fraction == 0.5 and what.startswith("compiling kernels") for fraction, what in said[1:-1])
+    assert all(math.isnan(fraction) and what.startswith("compiling kernels") for fraction, what in said[1:-1])

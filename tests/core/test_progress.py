@@ -1,6 +1,7 @@
 """Progress and its time left."""
 
 import io
+import math
 
 from lipac.core.progress import Terminal, clock, part
 
@@ -22,6 +23,11 @@ def test_time_left_is_extrapolated():
     assert shown[-3].strip() == "50 % tracing (20 s, 20 s left)"
     assert shown[-2].strip() == ""  # cleared
     assert "\n" not in stream.getvalue()
+
+
+def test_where_the_share_is_not_known_nothing_is_extrapolated():
+    terminal = Terminal(io.StringIO(), lambda: 100.0)
+    assert terminal.line(math.nan, "compiling", 112.0) == "      compiling (12 s)"
 
 
 def test_a_file_gets_few_whole_lines():
