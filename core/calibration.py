@@ -105,12 +105,10 @@ def _attribute(records, paths, culled, tile, difference, entries, squares):
 
 @dataclass(frozen=True)
 class Choice:
-    """A set that was tried: what its selection predicted, and what was measured; which paths were traced again, only (H, W, S) uint8, and what they met."""
+    """A set that was tried: what its selection predicted, and what was measured."""
 
     selection: Selection
     trial: Trial
-    only: NDArray[np.uint8]
-    log: PathLog
 
     @property
     def cull(self) -> np.ndarray:
@@ -148,9 +146,8 @@ class Search:
         settled = self._as_before()
         if settled is not None:
             return settled
-        best = self._unmet()
         log, share, failed = self.base.log.copy(), 1.0, 0
-        log.update(best.only, best.log)
+        best = self._unmet(log)
         tried = {best.cull.tobytes()}
         for k in range(TRIALS):
             progress(k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
@@ -160,7 +157,6 @@ class Search:
             tried.add(more.cull.tobytes())
             choice = self._try(more, best.cull, log)
             if choice is not None and self._excess(choice) <= 1:
-                log.update(choice.only, choice.log)
                 best, share, failed = choice, min(2 * share, 1.0), 0
                 continue
             share, failed = share / 2, failed + 1
@@ -193,7 +189,7 @@ class Search:
             return None
         cull = (self.before | (self.worth.sum(axis=1) == 0)) & np.isfinite(self.worth).all(axis=1)
         change = self.worth[cull].sum(axis=0)
-        choice = self._try(Selection(cull, float(change.mean()), float(change.max())), np.zeros(len(cull), bool), self.base.log)
+        choice = self._try(Selection(cull, float(change.mean()), float(change.max())), np.zeros(len(cull), bool), self.base.log.copy())
         if choice is None or not 1 / self.hysteresis <= self._excess(choice) <= 1:
             return None
         return choice
@@ -201,7 +197,8 @@ class Search:
     def _try(self, selection: Selection, already: np.ndarray, log: PathLog) -> Choice | None:
         """Trace without what a selection culls; None where that would take more paths than are left.
 
-        already: (A,) bool, a part of it, without which log was traced: only paths that met what else is culled can differ from that.
+        already: (A,) bool, a part of it, without which log was traced: only paths that met what else is culled can differ from that. Where the whole keeps to
+        the budget, the log becomes that of it.
         """
         new = selection.cull & ~already
         only = log.affected(new)
@@ -210,16 +207,18 @@ class Search:
             return None
         self.traced += paths
         after = self.without(selection.cull, only) if paths else log
-        return Choice(selection, self.base.compare(new, only, after.luminance, log), only, after)
+        choice = Choice(selection, self.base.compare(new, only, after.luminance, log))
+        if self._excess(choice) <= 1:
+            log.update(only, after)
+        return choice
 
-    def _unmet(self) -> Choice:
-        """The set of what is worth nothing, which no path met; or nothing at all, where that breaks the budget all the same."""
-        nothing, log = np.zeros(len(self.worth), bool), self.base.log
+    def _unmet(self, log: PathLog) -> Choice:
+        """The set of what is worth nothing, which no path met; or nothing at all, where that breaks the budget all the same. log: the measured one."""
+        nothing = np.zeros(len(self.worth), bool)
         choice = self._try(Selection(self.worth.sum(axis=1) == 0, 0.0, 0.0), nothing, log)
         if choice is not None and self._excess(choice) <= 1:
             return choice
-        same = Trial(np.zeros(TILES), np.zeros(TILES), *np.zeros((2, *self.worth.shape)))
-        return Choice(Selection(nothing, 0.0, 0.0), same, np.zeros(log.luminance.shape, np.uint8), log)
+        return Choice(Selection(nothing, 0.0, 0.0), Trial(np.zeros(TILES), np.zeros(TILES), *np.zeros((2, *self.worth.shape))))
 
     def _mean(self, choice: Choice) -> float:
         """The mean change, with what is owed to instances that no path met."""

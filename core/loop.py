@@ -317,7 +317,7 @@ class Loop:
         feedback = Feedback.zeros(len(self.active))  # without which paths are not recorded
         picture = self._trace(self._dark_but(keep), tlas, only.shape[2], measured.first_sample, feedback, progress, self.size, log, only)
         by_instance = np.argsort(measured.tlas.ids)
-        renumber(log.records.reshape(-1, RECORD), by_instance[np.searchsorted(measured.tlas.ids[by_instance], tlas.ids)])
+        renumber(log.records.reshape(-1, RECORD), only.reshape(-1), by_instance[np.searchsorted(measured.tlas.ids[by_instance], tlas.ids)])
         self.rays += picture.rays
         self.timer.add("trace_s", start)
         return log

@@ -45,9 +45,11 @@ class PathLog:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def renumber(records, entries):
-    """Write other numbers into records (P, RECORD) in place: entries[e] for entry e."""
+def renumber(records, only, entries):
+    """Write other numbers into those records (P, RECORD) that only, (P,), marks, in place: entries[e] for entry e."""
     for p in range(len(records)):
+        if only[p] == 0:
+            continue
         for k in range(1, min(records[p, 0] + 1, RECORD)):
             records[p, k] = entries[records[p, k]]
 
