@@ -196,8 +196,8 @@ def results(folder: Path) -> str:
     lines += [f"Paths per pixel of those traces, by scene: {judged}."]
     lines += ["Oracle: the cheapest set that a search with measured error found (core/oracle.py). Heuristic: the cheapest setting that keeps both bounds."]
     lines += ["To oracle: instances and BLAS bytes that ours keeps over those of the oracle; the aim is 1.25. Where ours is over it, or over a heuristic's: an"]
-    lines[-1] += " analysis decides by a few paths per pixel, and adds four standard deviations of their noise to what culling changes; the oracle searches by"
-    lines[-1] += " the judge's own paths and adds nothing; and what a search has culled it does not take back, though something else might save more in its place."
+    lines[-1] += " analysis decides by a few paths per pixel, and adds four standard deviations of their noise to what culling changes; the oracle searches"
+    lines[-1] += " by the judge's own paths and adds nothing; what a search has culled it does not take back, though something else might save more instead."
     lines += ["", equal_error_table(entries), ""]
     for s in summaries:
         name = Path(s["scene"]).stem
