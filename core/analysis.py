@@ -89,9 +89,10 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     keep[ids[~chosen.cull]] = True
     score = np.zeros(len(loop.active), np.float32)
     score[ids] = worth.mean(axis=1)
+    predicted = worth[chosen.cull].sum(axis=0)
     error = {
-        "predicted_mean": chosen.selection.mean,
-        "predicted_worst": chosen.selection.worst,
+        "predicted_mean": float(predicted.mean()) + search.unseen,
+        "predicted_worst": float(predicted.max()),
         "calibrated_mean": chosen.trial.mean,
         "calibrated_worst": chosen.trial.worst,
         "calibration_paths": search.traced,

@@ -57,7 +57,8 @@ def _spread(x: Any) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def extended_morton_codes(boxes: Any, bits: int, classes: int) -> Any:
-    """Of box centres, bits per axis, below a size class: each is a quarter as large as the one before it, class 0 the largest. (N, 2, 3) -> (N,) uint64.
+    """Of the centres of existing boxes, at most 16 bits per axis, below a size class: each is a quarter as large as the one before it, class 0 the largest.
+    (N, 2, 3) -> (N,) uint64.
 
     (Vinkler, Bittner, Havran, "Extended Morton Codes for High Performance Bounding Volume Hierarchy Construction", HPG 2017.)
     """

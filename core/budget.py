@@ -76,7 +76,7 @@ class Savings:
     """What culling of A TLAS entries saves.
 
     mesh: (A,) int32; bytes_of: (M,) int64, of each BLAS; share: (A,) float64 bytes that an entry saves, its share of the BLAS that it has in common with others
-    of the A included. reluctance: (A,) or one for all, what share was divided by.
+    of the A included, less by a factor of reluctance: (A,) float64.
     """
 
     mesh: I32
@@ -95,24 +95,17 @@ class Savings:
         """For those of the A that stay, (A,) bool, where the others are gone: fewer have a BLAS in common."""
         return Savings.among(self.mesh[stay], self.bytes_of, self.reluctance[stay])
 
-    def of(self, cull: np.ndarray) -> float:
-        """Bytes saved by culling all of cull (A,) bool: a BLAS goes when the last of its users does."""
-        stay = np.unique(self.mesh[~cull])
-        go = np.setdiff1d(self.mesh, stay)
-        return ENTRY_BYTES * float(np.count_nonzero(cull)) + float(self.bytes_of[go].sum())
 
-
-def select(weights: F64, saved: F64, mean_bound: float, tile_bounds: F64 | float, unseen: float = 0.0) -> Selection:
+def select(weights: F64, saved: F64, mean_bound: float, tile_bounds: F64 | float) -> Selection:
     """The instances to cull: cheapest change per saved byte first, while both bounds hold.
 
-    weights: (A, T) relative change of each tile where instance a is missing; saved: (A,) bytes; tile_bounds: one for all tiles,
-    or (T,). unseen: change already owed to instances that no path met.
+    weights: (A, T) relative change of each tile where instance a is missing; saved: (A,) bytes; tile_bounds: one for all tiles, or (T,).
     Greedy for a knapsack of two kinds of bound (Dantzig 1957 for one): within one instance's worth of the best.
     """
     order = np.argsort(weights.sum(axis=1) / saved, kind="stable")
     bounds = np.ascontiguousarray(np.broadcast_to(np.asarray(tile_bounds, np.float64), weights.shape[1]))
-    cull, sums = _greedy(order, weights, max(mean_bound - unseen, 0.0), bounds)
-    return Selection(cull, float(sums.mean()) + unseen, float(sums.max(initial=0.0)))
+    cull, sums = _greedy(order, weights, max(mean_bound, 0.0), bounds)
+    return Selection(cull, float(sums.mean()), float(sums.max(initial=0.0)))
 
 
 def unseen_share(hits: I64, paths: int) -> float:

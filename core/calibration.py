@@ -13,18 +13,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .budget import Budget, Savings, Selection, select
+from .budget import Budget, Savings, select
 from .path_log import RECORD, PathLog
 from .progress import Progress, silent
 from .scene import F32, F64, I32
 from .tiles import DARK, TILES, tiles_of
 
 TRIALS = 64  # at most
-PATIENCE = 4  # trials in a row that break the budget, after which none is expected to keep it
+PATIENCE = 5  # trials in a row that break the budget, after which none is expected to keep it
 WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
 CONFIDENCE = 4.0  # standard deviations of its measurement that are added to the change of a tile, the worst of many in the best of many trials
-AIM = 0.95  # of the budget: what is to be used up; but what is left of it is taken to be at least the rest, for worth is no more than a prediction
-PATHS = 1.4  # traced by all trials together at most, to those of the measurement: less than all rounds of an analysis together
+AIM = 0.95  # of the budget: what selections are to use up. The rest of it is always taken to be left, for what they are worth is but predicted
+PATHS = 1.4  # traced by all trials together at most, to those of the measurement
 
 
 @dataclass(frozen=True)
@@ -105,15 +105,10 @@ def _attribute(records, paths, culled, tile, difference, entries, squares):
 
 @dataclass(frozen=True)
 class Choice:
-    """A set that was tried: what its selection predicted, and what was measured."""
+    """A set that was tried, (A,) bool, and what was measured."""
 
-    selection: Selection
+    cull: np.ndarray
     trial: Trial
-
-    @property
-    def cull(self) -> np.ndarray:
-        """(A,) bool."""
-        return self.selection.cull
 
 
 class Search:
@@ -151,10 +146,10 @@ class Search:
         tried = {best.cull.tobytes()}
         for k in range(TRIALS):
             progress(k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
-            more = None if failed > PATIENCE or best.cull.all() else self._more(best, share, tried)
+            more = None if failed >= PATIENCE or best.cull.all() else self._more(best, share, tried)
             if more is None:
                 break
-            tried.add(more.cull.tobytes())
+            tried.add(more.tobytes())
             choice = self._try(more, best.cull, log)
             if choice is not None and self._excess(choice) <= 1:
                 best, share, failed = choice, min(2 * share, 1.0), 0
@@ -168,18 +163,17 @@ class Search:
         """What is measured is known better than what was predicted. new: (A,) bool, what the choice culls beyond the set that it began with."""
         self.worth[new] = np.abs(choice.trial.entries[new]) + CONFIDENCE * choice.trial.spread[new]
 
-    def _more(self, best: Choice, share: float, tried: set[bytes]) -> Selection | None:
-        """What to cull beyond a set, within a share of what that leaves of the budget; None where nothing is left to try."""
+    def _more(self, best: Choice, share: float, tried: set[bytes]) -> np.ndarray | None:
+        """A larger set to cull, (A,) bool, within a share of what one leaves of the budget; None where nothing is left to try."""
         stay = ~best.cull
         savings = self.savings.among_these(stay).share
         mean = share * max(AIM * self.budget.mean - max(self._mean(best), self.unseen), (1 - AIM) * self.budget.mean)
         tiles = share * np.maximum(AIM * self.budget.worst - best.trial.bound, (1 - AIM) * self.budget.worst)
         for _ in range(WIDENINGS):
-            selected = select(self.worth[stay], savings, mean, tiles)
             cull = best.cull.copy()
-            cull[stay] = selected.cull
-            if selected.cull.any() and cull.tobytes() not in tried:
-                return Selection(cull, best.selection.mean + selected.mean, best.selection.worst + selected.worst)
+            cull[stay] = select(self.worth[stay], savings, mean, tiles).cull
+            if cull.tobytes() not in tried:  # nor is the set itself
+                return cull
             mean, tiles = WIDER * mean, WIDER * tiles
         return None
 
@@ -188,26 +182,25 @@ class Search:
         if self.before is None:
             return None
         cull = (self.before | (self.worth.sum(axis=1) == 0)) & np.isfinite(self.worth).all(axis=1)
-        change = self.worth[cull].sum(axis=0)
-        choice = self._try(Selection(cull, float(change.mean()), float(change.max())), np.zeros(len(cull), bool), self.base.log.copy())
+        choice = self._try(cull, np.zeros(len(cull), bool), self.base.log.copy())
         if choice is None or not 1 / self.hysteresis <= self._excess(choice) <= 1:
             return None
         return choice
 
-    def _try(self, selection: Selection, already: np.ndarray, log: PathLog) -> Choice | None:
-        """Trace without what a selection culls; None where that would take more paths than are left.
+    def _try(self, cull: np.ndarray, already: np.ndarray, log: PathLog) -> Choice | None:
+        """Trace without cull, (A,) bool; None where that would take more paths than are left.
 
         already: (A,) bool, a part of it, without which log was traced: only paths that met what else is culled can differ from that. Where the whole keeps to
         the budget, the log becomes that of it.
         """
-        new = selection.cull & ~already
+        new = cull & ~already
         only = log.affected(new)
         paths = int(np.count_nonzero(only))
         if self.traced + paths > self.allowed:
             return None
         self.traced += paths
-        after = self.without(selection.cull, only) if paths else log
-        choice = Choice(selection, self.base.compare(new, only, after.luminance, log))
+        after = self.without(cull, only) if paths else log
+        choice = Choice(cull, self.base.compare(new, only, after.luminance, log))
         if self._excess(choice) <= 1:
             log.update(only, after)
         return choice
@@ -215,10 +208,10 @@ class Search:
     def _unmet(self, log: PathLog) -> Choice:
         """The set of what is worth nothing, which no path met; or nothing at all, where that breaks the budget all the same. log: the measured one."""
         nothing = np.zeros(len(self.worth), bool)
-        choice = self._try(Selection(self.worth.sum(axis=1) == 0, 0.0, 0.0), nothing, log)
+        choice = self._try(self.worth.sum(axis=1) == 0, nothing, log)
         if choice is not None and self._excess(choice) <= 1:
             return choice
-        return Choice(Selection(nothing, 0.0, 0.0), Trial(np.zeros(TILES), np.zeros(TILES), *np.zeros((2, *self.worth.shape))))
+        return Choice(nothing, Trial(np.zeros(TILES), np.zeros(TILES), *np.zeros((2, *self.worth.shape))))
 
     def _mean(self, choice: Choice) -> float:
         """The mean change, with what is owed to instances that no path met."""

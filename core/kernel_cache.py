@@ -32,7 +32,7 @@ def kernel_sources(core: Path) -> list[Path]:
     """Modules of the folder core that compile kernels, and all that these import from it: their constants become part of the kernels. Sorted."""
     text = {path.stem: path.read_text() for path in core.glob("*.py")}
     found: set[str] = set()
-    pending = [name for name, source in text.items() if re.search(r"^from numba import .*njit", source, re.MULTILINE)]
+    pending = [name for name, source in text.items() if re.search(r"^\s*@(njit|cfunc|intrinsic)\b", source, re.MULTILINE)]
     while pending:
         name = pending.pop()
         if name in text and name not in found:

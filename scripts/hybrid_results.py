@@ -15,7 +15,6 @@ import hashlib
 import json
 import sys
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from . import hybrid_report as report
 from .compare import lipac, pictures
 from .evaluate import SUPPLIED
 from .hybrid_report import CULLED, NOTHING, RASTER, RAW, ROUGH, SETTINGS, SHOWN, STAGES, TRUTH, WHOLE, Row, pictures_folder, write_page
+from .options import digest
 
 WAYS = {
     TRUTH: ("--engine", "cycles", "--cull", "none"),
@@ -125,12 +125,6 @@ def render(name: str, scene: Path, way: str, samples: int, args: argparse.Namesp
     print(f"{name}: {way}, {samples} samples", file=sys.stderr, flush=True)
     lipac("render", scene, "-o", folder, *WAYS[way], *more, "--resolution", args.resolution, "--samples", str(samples))
     return folder
-
-
-@cache
-def digest(*paths: Path) -> str:
-    """Of the contents of files."""
-    return hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in paths)).hexdigest()
 
 
 def sources() -> list[Path]:

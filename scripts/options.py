@@ -288,12 +288,15 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     return Report(str(path), bpy.app.version_string, own_version(), args.cull, job.engine, args.seed, threads, options)
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a file's contents, "" where there is no such file."""
-    if not path.is_file():
+def digest(*paths: Path) -> str:
+    """SHA-256 of the contents of files, one after the other; "" where one of them is no file."""
+    if not all(path.is_file() for path in paths):
         return ""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    found = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as file:
+            hashlib.file_digest(file, lambda: found)
+    return found.hexdigest()
 
 
 def own_version() -> str:

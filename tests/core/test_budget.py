@@ -55,8 +55,15 @@ def test_a_zero_budget_keeps_all_that_is_worth_anything() -> None:
 def test_a_shared_blas_is_counted_once() -> None:
     savings = budget.Savings.among(np.array([0, 0, 0, 0, 1]), np.array([4000, 1000]))
     assert savings.share.sum() == pytest.approx(5000 + 5 * budget.ENTRY_BYTES)
-    assert savings.of(np.array([True, True, True, False, True])) == pytest.approx(1000 + 4 * budget.ENTRY_BYTES)
-    assert savings.of(np.array([True, True, True, True, False])) == pytest.approx(4000 + 4 * budget.ENTRY_BYTES)
+    for stay, left in (([False, False, False, True, True], 5000), ([True, True, False, False, False], 4000)):  # fewer share it, each more of it
+        rest = savings.among_these(np.array(stay))
+        assert rest.share.sum() == pytest.approx(left + 2 * budget.ENTRY_BYTES)
+
+
+def test_what_is_rather_to_stay_saves_less_also_where_others_are_gone() -> None:
+    savings = budget.Savings.among(np.array([0, 0, 1]), np.array([4000, 1000]), np.array([1.0, 2.0, 4.0]))
+    plain = budget.Savings.among(np.array([0, 1]), np.array([4000, 1000]))
+    assert savings.among_these(np.array([False, True, True])).share == pytest.approx(plain.share / [2.0, 4.0])
 
 
 def test_unseen_share_is_what_was_missed() -> None:

@@ -299,13 +299,19 @@ def test_the_operator_switches_it(scene):
     assert not [t for t in threading.enumerate() if t.name == "LiPaC analysis"]
 
 
-def test_a_failure_is_said_once(watched, monkeypatch):
+def fail(monkeypatch):
+    """Let live mode run into an error of ours."""
+
     def broken(*_):
         raise ZeroDivisionError
 
     monkeypatch.setattr(live.Live, "_read", broken)
     with pytest.raises(ZeroDivisionError):
         settle()
+
+
+def test_a_failure_is_said_once(watched, monkeypatch):
+    fail(monkeypatch)
     assert "console" in live.current.error
     live.tick()
     assert live.current.closed
@@ -313,13 +319,7 @@ def test_a_failure_is_said_once(watched, monkeypatch):
 
 def test_after_a_failure_it_is_off_and_can_be_switched_on(watched, monkeypatch):
     """Blender does not call a timer again that has failed, so it must not look as if live mode went on."""
-
-    def broken(*_):
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(live.Live, "_read", broken)
-    with pytest.raises(ZeroDivisionError):
-        settle()
+    fail(monkeypatch)
     assert not live.is_on()
     assert "console" in live.current.error  # still to be read
     monkeypatch.undo()
