@@ -80,10 +80,11 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
         keep = np.zeros(len(loop.active), bool)
         keep[ids[~cull]] = True
-        return loop.trace_without(measured, keep, only)
+        return loop.trace_without(measured.tlas, measured.first_sample, keep, only)
 
     before = None if loop.known is None else loop.known[ids] & ~loop.kept[ids]
-    search = Search(base, without, np.where(loop.pinned[ids, None], np.inf, worth), savings, budget, unseen, before, loop.options.hysteresis)
+    certain = np.where(loop.pinned[ids, None], np.inf, worth)
+    search = Search(base, measured.log, without, certain, savings, budget, unseen, before, loop.options.hysteresis)
     chosen = search.run(progress)
     keep = loop.pinned.copy()
     keep[ids[~chosen.cull]] = True

@@ -10,11 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from .budget import Budget, Savings, select
-from .path_log import RECORD, PathLog
+from .path_log import RECORD, PathLog, put_down
 from .progress import Progress, silent
 from .scene import F32, F64, I32
 from .tiles import DARK, TILES, tiles_of
@@ -22,7 +21,7 @@ from .tiles import DARK, TILES, tiles_of
 TRIALS = 64  # at most
 PATIENCE = 5  # trials in a row that break the budget, after which none is expected to keep it
 WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
-CONFIDENCE = 4.0  # standard deviations of its measurement that are added to the change of a tile, the worst of many in the best of many trials
+CONFIDENCE = 3.5  # standard deviations of its measurement that are added to the change of a tile, the worst of many in the best of many trials
 AIM = 0.95  # of the budget: what selections are to use up. The rest of it is always taken to be left, for what they are worth is but predicted
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement
 
@@ -31,14 +30,12 @@ PATHS = 1.4  # traced by all trials together at most, to those of the measuremen
 class Trial:
     """The change of the picture by culling some entries, relative to the luminance of each of T coarse tiles.
 
-    change: (T,) float64, signed. deviation: (T,) float64, its standard deviation, from the differences of single paths.
-    entries: (A, T) float64 signed change by the paths that met an entry before any other of those that the trial culled; spread: its standard deviation.
+    change: (T,) float64, signed. deviation: (T,) float64, its standard deviation, from the differences of single paths. confidence: so many of these are added.
     """
 
     change: F64
     deviation: F64
-    entries: F64
-    spread: F64
+    confidence: float
 
     @property
     def mean(self) -> float:
@@ -52,55 +49,47 @@ class Trial:
 
     @property
     def bound(self) -> F64:
-        """(T,) relative change of each tile, with CONFIDENCE standard deviations of its measurement on top."""
-        return np.abs(self.change) + CONFIDENCE * self.deviation
+        """(T,) relative change of each tile, with what its measurement may be wrong by on top."""
+        return np.abs(self.change) + self.confidence * self.deviation
 
 
 class Base:
-    """The measured picture by tiles, and what each of its paths met."""
+    """The measured picture by tiles and paths."""
 
-    def __init__(self, log: PathLog, light: F64 | None = None) -> None:
-        """light: (TILES,) luminance of all paths of each tile, where the log leaves some of it out."""
+    def __init__(self, log: PathLog, light: F64 | None = None, confidence: float = CONFIDENCE) -> None:
+        """light: (TILES,) luminance of all paths of each tile, where the log leaves some of it out. confidence: of what is compared, see `Trial`."""
         height, width, samples = log.luminance.shape
-        self.log = log
+        self.luminance, self.confidence = log.luminance.copy(), confidence
         self.tile: I32 = np.repeat(tiles_of(height, width).ravel(), samples).astype(np.int32)
         sums = np.bincount(self.tile, log.luminance.ravel(), TILES) if light is None else light
         counts = np.maximum(np.bincount(self.tile, minlength=TILES), 1)
         means = sums / counts
         self.light = counts * np.maximum(means, max(DARK * means.mean(), 1e-30))
 
-    def compare(self, culled: np.ndarray, only: np.ndarray, luminance: F32, before: PathLog | None = None) -> Trial:
-        """The change by culling some entries, (A,) bool, where others are perhaps culled already.
+    def compare(self, only: np.ndarray, luminance: F32, before: PathLog) -> Trial:
+        """The change by culling some entries, where others are perhaps culled already.
 
-        before: the log without those others (default: the measured one); only: `PathLog.affected` of it; luminance: (H, W, S) float32 of the paths marked
-        there, traced without any of them.
+        before: the log without those others; only: its `PathLog.affected` by those that are new; luminance: (H, W, S) float32 of the paths marked there, traced
+        without any of them.
         """
-        before = before or self.log
         paths = np.flatnonzero(only.reshape(-1))
-        now = luminance.reshape(-1)[paths].astype(np.float64)
-        tile = self.tile[paths]
-        entries, squares = np.zeros((len(culled), TILES)), np.zeros((len(culled), TILES))
-        step = (now - before.luminance.reshape(-1)[paths]) / self.light[tile]
-        _attribute(before.records.reshape(-1, RECORD), paths, culled, tile, step, entries, squares)
-        difference = before.luminance.reshape(-1).astype(np.float64) - self.log.luminance.reshape(-1)
-        difference[paths] = now - self.log.luminance.reshape(-1)[paths]
+        difference = before.luminance.reshape(-1).astype(np.float64) - self.luminance.reshape(-1)
+        difference[paths] = luminance.reshape(-1)[paths].astype(np.float64) - self.luminance.reshape(-1)[paths]
         difference /= self.light[self.tile]
         change = np.bincount(self.tile, difference, TILES)
         deviation = np.sqrt(np.bincount(self.tile, difference**2, TILES))
-        return Trial(change, deviation, entries, np.sqrt(squares))
+        return Trial(change, deviation, self.confidence)
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _attribute(records, paths, culled, tile, difference, entries, squares):
-    """Add each path's difference, and its square, to the culled entry that it met first."""
-    for i in range(len(paths)):
-        p = paths[i]
-        for k in range(1, min(records[p, 0] + 1, RECORD)):
-            entry = records[p, k]
-            if culled[entry]:
-                entries[entry, tile[i]] += difference[i]
-                squares[entry, tile[i]] += difference[i] ** 2
-                break
+    def bound_by_entry(self, culled: np.ndarray, only: np.ndarray, luminance: F32, before: PathLog) -> F64:
+        """The bound of what each of the culled entries, (A,) bool with C of them, changed alone: (C, T) float64, by the paths that met it before any other of
+        them. The rest as in `compare`.
+        """
+        paths = np.flatnonzero(only.reshape(-1))
+        row = np.where(culled, np.cumsum(culled) - 1, -1)
+        change, squares = np.zeros((2, int(culled.sum()), TILES))
+        step = (luminance.reshape(-1)[paths].astype(np.float64) - before.luminance.reshape(-1)[paths]) / self.light[self.tile[paths]]
+        put_down(before.records.reshape(-1, RECORD), paths, row, self.tile[paths], step, change, squares)
+        return np.abs(change) + self.confidence * np.sqrt(squares)
 
 
 @dataclass(frozen=True)
@@ -117,6 +106,7 @@ class Search:
     def __init__(
         self,
         base: Base,
+        log: PathLog,
         without: Callable[[np.ndarray, NDArray[np.uint8]], PathLog],
         worth: F64,
         savings: Savings,
@@ -124,25 +114,26 @@ class Search:
         unseen: float = 0.0,
         before: np.ndarray | None = None,
         hysteresis: float = 1.0,
+        paths: float = PATHS,
     ) -> None:
-        """without: log of the paths (H, W, S) that its second argument marks, without the entries that its first, (A,) bool, culls.
+        """log: of the base; becomes that of what is chosen. without: log of the paths (H, W, S) that its second argument marks, without the entries that its
+        first, (A,) bool, culls.
 
         worth: (A, T) relative change of each tile that culling an entry is expected to make, infinite for what must stay. unseen: change already owed to what
-        no path met. before: (A,) bool, what was culled in the last frame: it is so again if that uses up the budget, or all but a factor of hysteresis.
+        no path met. before: (A,) bool, what was culled in the last frame: where that keeps to the budget no less is culled, and no more either where it uses
+        up all but a factor of hysteresis. paths: traced by all trials together at most, to those of the log.
         """
-        self.base, self.without, self.worth, self.savings, self.budget = base, without, worth.copy(), savings, budget
+        self.base, self.log, self.without, self.worth, self.savings, self.budget = base, log, without, worth.copy(), savings, budget
         self.unseen = min(unseen, 0.5 * budget.mean)
         self.before, self.hysteresis = before, hysteresis
-        self.allowed = int(PATHS * base.log.luminance.size)
+        self.allowed = int(paths * log.luminance.size)
         self.traced = 0
 
     def run(self, progress: Progress = silent) -> Choice:
         """The largest set found. Beginning with what no path meets, more and more is culled: what is predicted to fit the rest of the budget."""
-        settled = self._as_before()
-        if settled is not None:
-            return settled
-        log, share, failed = self.base.log.copy(), 1.0, 0
-        best = self._unmet(log)
+        best, share, failed = self._first(), 1.0, 0
+        if self.before is not None and self.hysteresis * self._excess(best) >= 1:
+            return best
         tried = {best.cull.tobytes()}
         for k in range(TRIALS):
             progress(k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
@@ -150,18 +141,20 @@ class Search:
             if more is None:
                 break
             tried.add(more.tobytes())
-            choice = self._try(more, best.cull, log)
-            if choice is not None and self._excess(choice) <= 1:
+            choice = self._try(more, best.cull)
+            if choice is None:
+                share, failed = share / 2, failed + 1
+            else:
                 best, share, failed = choice, min(2 * share, 1.0), 0
-                continue
-            share, failed = share / 2, failed + 1
-            if choice is not None:
-                self._learn(choice, choice.cull & ~best.cull)
         return best
 
-    def _learn(self, choice: Choice, new: np.ndarray) -> None:
-        """What is measured is known better than what was predicted. new: (A,) bool, what the choice culls beyond the set that it began with."""
-        self.worth[new] = np.abs(choice.trial.entries[new]) + CONFIDENCE * choice.trial.spread[new]
+    def _first(self) -> Choice:
+        """What was culled in the last frame, and what is worth nothing, which no path met; that alone where the whole breaks the budget, or nothing at all."""
+        nothing, unmet = np.zeros(len(self.worth), bool), self.worth.sum(axis=1) == 0
+        choice = None
+        if self.before is not None:
+            choice = self._try((self.before | unmet) & np.isfinite(self.worth).all(axis=1), nothing)
+        return choice or self._try(unmet, nothing) or Choice(nothing, Trial(np.zeros(TILES), np.zeros(TILES), self.base.confidence))
 
     def _more(self, best: Choice, share: float, tried: set[bytes]) -> np.ndarray | None:
         """A larger set to cull, (A,) bool, within a share of what one leaves of the budget; None where nothing is left to try."""
@@ -177,41 +170,25 @@ class Search:
             mean, tiles = WIDER * mean, WIDER * tiles
         return None
 
-    def _as_before(self) -> Choice | None:
-        """What was culled in the last frame, and what no path meets; None where that breaks the budget or leaves much of it."""
-        if self.before is None:
-            return None
-        cull = (self.before | (self.worth.sum(axis=1) == 0)) & np.isfinite(self.worth).all(axis=1)
-        choice = self._try(cull, np.zeros(len(cull), bool), self.base.log.copy())
-        if choice is None or not 1 / self.hysteresis <= self._excess(choice) <= 1:
-            return None
-        return choice
+    def _try(self, cull: np.ndarray, already: np.ndarray) -> Choice | None:
+        """Trace without cull, (A,) bool; None where that breaks the budget, or would take more paths than are left.
 
-    def _try(self, cull: np.ndarray, already: np.ndarray, log: PathLog) -> Choice | None:
-        """Trace without cull, (A,) bool; None where that would take more paths than are left.
-
-        already: (A,) bool, a part of it, without which log was traced: only paths that met what else is culled can differ from that. Where the whole keeps to
-        the budget, the log becomes that of it.
+        already: (A,) bool, a part of it, whose log there is: only paths that met what else is culled can differ from that. What breaks the budget is measured
+        all the same, and known better than it was predicted.
         """
         new = cull & ~already
-        only = log.affected(new)
+        only = self.log.affected(new)
         paths = int(np.count_nonzero(only))
         if self.traced + paths > self.allowed:
             return None
         self.traced += paths
-        after = self.without(cull, only) if paths else log
-        choice = Choice(cull, self.base.compare(new, only, after.luminance, log))
+        after = self.without(cull, only) if paths else self.log
+        choice = Choice(cull, self.base.compare(only, after.luminance, self.log))
         if self._excess(choice) <= 1:
-            log.update(only, after)
-        return choice
-
-    def _unmet(self, log: PathLog) -> Choice:
-        """The set of what is worth nothing, which no path met; or nothing at all, where that breaks the budget all the same. log: the measured one."""
-        nothing = np.zeros(len(self.worth), bool)
-        choice = self._try(self.worth.sum(axis=1) == 0, nothing, log)
-        if choice is not None and self._excess(choice) <= 1:
+            self.log.update(only, after)
             return choice
-        return Choice(nothing, Trial(np.zeros(TILES), np.zeros(TILES), *np.zeros((2, *self.worth.shape))))
+        self.worth[new] = self.base.bound_by_entry(new, only, after.luminance, self.log)
+        return None
 
     def _mean(self, choice: Choice) -> float:
         """The mean change, with what is owed to instances that no path met."""

@@ -14,7 +14,7 @@ from .scene import F32, F64, Camera, Film, Instances, Scene
 from .tiles import TILES
 
 # Something that a coarse tile's paths do not meet may be worth some of them, each as bright as what stands behind it: so many paths, over the tile's bound.
-TILE_PATHS = 60
+TILE_PATHS = 120
 COUNTED_PATHS = 4  # per pixel, by counts
 MOST_PATHS = 64  # per pixel
 BLOCK = 1 << 17  # instances at a time: temporaries stay small at a million

@@ -27,25 +27,46 @@ from .tiles import DARK, tile_means
 
 SEED = 0x6A7564  # of the judge; an analysis has another one
 TIMED = 4  # paths per pixel that a set is timed with
-_TWO_SIDED_95 = 1.96  # standard deviations of a normal distribution
+TWO_SIDED_95 = 1.96  # standard deviations of a normal distribution
 
 
 @dataclass(frozen=True)
 class Change:
-    """Relative change of a picture, as `budget` defines it: mean over the coarse tiles and of the worst one, each with half a 95 % confidence interval.
+    """Relative change of a picture, as `budget` defines it.
 
-    tiles: (T,) float64 signed relative change of every coarse tile.
+    tiles: (T,) float64 signed relative change of every coarse tile. half: (T,) half of the 95 % confidence interval of each.
     """
 
-    mean: float
-    worst: float
-    mean_ci: float
-    worst_ci: float
     tiles: F64
+    half: F64
+
+    @property
+    def mean(self) -> float:
+        """Over the tiles, without their signs."""
+        return float(np.abs(self.tiles).mean())
+
+    @property
+    def mean_ci(self) -> float:
+        """Half a 95 % confidence interval of the mean."""
+        return float(np.sqrt((self.half**2).sum()) / len(self.half))
+
+    @property
+    def worst(self) -> float:
+        """Of the worst tile."""
+        return float(np.abs(self.tiles).max())
+
+    @property
+    def worst_ci(self) -> float:
+        """Half a 95 % confidence interval of the worst tile."""
+        return float(self.half[np.abs(self.tiles).argmax()])
 
     def holds(self, budget: Budget) -> bool:
         """Whether both bounds are kept."""
         return self.mean <= budget.mean and self.worst <= budget.worst
+
+    def surely_holds(self, budget: Budget) -> bool:
+        """Whether the upper ends of the confidence intervals, that of every tile, are within both bounds."""
+        return self.mean + self.mean_ci <= budget.mean and float((np.abs(self.tiles) + self.half).max()) <= budget.worst
 
 
 def picture_change(full: F32, other: F32) -> tuple[float, float]:
@@ -75,29 +96,22 @@ class Judge:
         self.log = PathLog.zeros(scene.film.height, scene.film.width, samples)
         self.full = self.loop.trace(self.tlas, samples, progress=part(progress, 0.0, 0.5, "full picture, "), log=self.log)[1]
         self.second_seed = self.loop.trace(self.tlas, samples, progress=part(progress, 0.5, 1.0, "with another seed, "))[1]
-        self.base = Base(self.log)
+        self.base = Base(self.log, confidence=TWO_SIDED_95)
 
-    def _culled(self, keep: np.ndarray) -> tuple[np.ndarray, NDArray[np.uint8]]:
-        """(A,) bool entries of the full TLAS that keep (N,) bool leaves out, and which paths they matter to."""
-        culled = ~keep[self.tlas.ids]
-        return culled, self.log.affected(culled)
+    def _affected(self, keep: np.ndarray) -> NDArray[np.uint8]:
+        """Which paths of the full picture what keep (N,) bool leaves out matters to."""
+        return self.log.affected(~keep[self.tlas.ids])
 
-    def change(self, keep: np.ndarray, share: float = 1.0) -> Change:
-        """Change by culling to keep (N,) bool. share: of the paths that are looked at; fewer are cheaper and noisier."""
-        culled, only = self._culled(keep)
-        used = max(1, round(share * self.samples))
-        only[:, :, used:] = 0
+    def change(self, keep: np.ndarray) -> Change:
+        """Change by culling to keep (N,) bool."""
+        only = self._affected(keep)
         _, luminance = self.loop.trace_paths(keep, self.first_sample, only)
-        trial = self.base.compare(culled, only, luminance)
-        f = self.samples / used
-        tiles, half = f * trial.change, f * _TWO_SIDED_95 * trial.deviation
-        size = np.abs(tiles)
-        worst = int(size.argmax())
-        return Change(float(size.mean()), float(size[worst]), float(np.sqrt((half**2).sum()) / len(half)), float(half[worst]), tiles)
+        trial = self.base.compare(only, luminance, self.log)
+        return Change(trial.change, trial.confidence * trial.deviation)
 
     def picture(self, keep: np.ndarray) -> F32:
         """The picture with only keep (N,) bool in the scene, (H, W, 4) float32: the full one, with what has changed in it exchanged."""
-        _, only = self._culled(keep)
+        only = self._affected(keep)
         before, after = (self.loop.trace_paths(which, self.first_sample, only)[0] for which in (self.loop.exists, keep))
         return np.asarray(self.full + (after - before), np.float32)
 

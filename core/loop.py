@@ -36,6 +36,7 @@ COLD_HITS = 7  # segments of one round that must cross a box before it is opened
 SETTLED = 0.02  # segments per path that still ask for a box when coarse rounds end
 UNKNOWN = 0.2  # segments per path that ask for a box where coarse rounds are worth while
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
+FINE = 4  # rounds that follow the coarse ones trace so many times fewer paths than the measurement
 GROWTH = 1.05  # per round, of what an instance is worth that waits for its BLAS
 LARGE = 0.05  # of the picture's width: what comes into view this large is activated before it is asked for
 
@@ -306,8 +307,9 @@ class Loop:
         self.timer.add("trace_s", start)
         return picture.mean, log.luminance
 
-    def trace_without(self, measured: Measurement, keep: np.ndarray, only: NDArray[np.uint8], progress: Progress = silent) -> PathLog:
-        """What a measurement's paths that only, (H, W, S), marks meet with only keep (N,) bool of its instances in the scene, by the numbers of its entries.
+    def trace_without(self, full: Tlas, first_sample: int, keep: np.ndarray, only: NDArray[np.uint8], progress: Progress = silent) -> PathLog:
+        """What those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with only keep (N,) bool in the scene, by the numbers of
+        the entries of full.
 
         The other paths' part of the log is empty.
         """
@@ -315,9 +317,9 @@ class Loop:
         start = time.perf_counter()
         log = PathLog.zeros(*only.shape)
         feedback = Feedback.zeros(len(self.active))  # without which paths are not recorded
-        picture = self._trace(self._dark_but(keep), tlas, only.shape[2], measured.first_sample, feedback, progress, self.size, log, only)
-        by_instance = np.argsort(measured.tlas.ids)
-        renumber(log.records.reshape(-1, RECORD), only.reshape(-1), by_instance[np.searchsorted(measured.tlas.ids[by_instance], tlas.ids)])
+        picture = self._trace(self._dark_but(keep), tlas, only.shape[2], first_sample, feedback, progress, self.size, log, only)
+        by_instance = np.argsort(full.ids)
+        renumber(log.records.reshape(-1, RECORD), only.reshape(-1), by_instance[np.searchsorted(full.ids[by_instance], tlas.ids)])
         self.rays += picture.rays
         self.timer.add("trace_s", start)
         return log
@@ -386,7 +388,7 @@ class Loop:
                 self.ambient = _mean_luminance(picture)
                 coarse = self._ask(cut, feedback) > max(self.options.settled, SETTLED)
             else:
-                feedback, picture = self.trace(tlas, max(1, self.samples // 2), boxes)
+                feedback, picture = self.trace(tlas, max(1, self.samples // FINE), boxes)
                 self.ambient = _mean_luminance(picture)
                 asked = self._ask(cut, feedback)
                 self._light_up(cut, feedback)

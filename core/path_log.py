@@ -65,3 +65,19 @@ def _mark(records, culled, out):
             if culled[records[p, k]]:
                 out[p] = 1
                 break
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def put_down(records, paths, row, tile, difference, change, squares):
+    """Add each path's difference, and its square, to change and squares (C, T) of the first entry that it met which has a row there, in the path's tile.
+
+    paths: (D,) rows of records (P, RECORD). row: (A,) of each entry, -1: none. tile, difference: (D,).
+    """
+    for i in range(len(paths)):
+        p = paths[i]
+        for k in range(1, min(records[p, 0] + 1, RECORD)):
+            r = row[records[p, k]]
+            if r >= 0:
+                change[r, tile[i]] += difference[i]
+                squares[r, tile[i]] += difference[i] ** 2
+                break
