@@ -10,9 +10,11 @@ from contextlib import contextmanager
 
 from numba.core import event
 
+from .kernel_cache import kept
 from .progress import Progress, clock
 
-KERNELS = 185  # compilations until every kernel is there, about: for the time left
+KERNELS = 120  # kept when the path tracing kernel, which unites most of them, is all that is left to compile, about
+LAST = 0.15  # of the whole time, for that one
 
 
 class _Compiling(event.Listener):
@@ -22,6 +24,8 @@ class _Compiling(event.Listener):
         self._progress, self._lock = progress, threading.Lock()
         self._depth = self._done = 0
         self._first: float | None = None  # when compiling began
+        self._begun = 0.0  # what share was there before
+        self._united: float | None = None  # seconds until the last one began
 
     def __call__(self, fraction: float, what: str) -> None:
         with self._lock:  # kernels are compiled on whichever thread calls them first
@@ -30,10 +34,21 @@ class _Compiling(event.Listener):
             self._progress(fraction, what)
 
     def _text(self) -> str:
-        self._first = self._first or time.monotonic()
-        share, spent = min(self._done / KERNELS, 0.99), time.monotonic() - self._first
-        left = f", about {clock(spent * (1 - share) / share)} left" if share > 0.1 else ""
+        if self._first is None:
+            self._first, self._begun = time.monotonic(), self._share(0.0)
+        spent = time.monotonic() - self._first
+        share = self._share(spent)
+        done = share - self._begun
+        left = f", about {clock(spent * (1 - share) / done)} left" if done > 0.1 else ""
         return f"compiling kernels, the first time only: {share:.0%}{left}"
+
+    def _share(self, spent: float) -> float:
+        """What share of the work is done after so many seconds. Of what is kept on disk: another process may compile, too (`core.compiling`)."""
+        done = max(self._done, kept())
+        if done < KERNELS:
+            return (1 - LAST) * done / KERNELS
+        self._united = self._united or max(spent, 1e-3)
+        return min((1 - LAST) * spent / self._united, 0.99)
 
     def on_start(self, event: event.Event) -> None:
         """One more is being compiled, perhaps for the sake of one that is."""
