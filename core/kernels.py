@@ -1,13 +1,16 @@
-"""Kernels are compiled the first time that they are called, and this is said."""
+"""Compiled kernels: loaded ahead while something else goes on, and, the first time, compiled, which is said."""
 
 from __future__ import annotations
 
 import math
+import os
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
+from numba import int64, uint64
 from numba.core import event
 
 from .kernel_cache import kept
@@ -15,6 +18,25 @@ from .progress import Progress, clock
 
 KERNELS = 120  # kept when the path tracing kernel, which unites most of them, is all that is left to compile, about
 LAST = 0.15  # of the whole time, for that one
+
+
+def load_ahead() -> None:
+    """Load the engine and its kernels in a thread of their own, where they were compiled before: whoever needs them finds them there, or waits for the rest.
+
+    Worth while before work that leaves Python alone, such as Blender opening a file. It does nothing that would not be done later.
+    """
+    folder = os.environ.get("NUMBA_CACHE_DIR")  # by kernel_cache
+    if not folder or not any(Path(folder).glob("*/path_kernel.trace_tile-*.nbi")):
+        return
+
+    def load() -> None:
+        with suppress(Exception):  # whoever needs it meets the error, and can tell the user
+            from . import frames  # noqa: F401
+            from .path_kernel import trace_tile
+
+            trace_tile.compile((int64, int64, int64, int64, uint64[::1]))
+
+    threading.Thread(target=load, name="kernels").start()
 
 
 class _Compiling(event.Listener):
