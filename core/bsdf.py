@@ -107,7 +107,7 @@ from .lobes import (
     set_tints,
     smith,
 )
-from .sampling import INNER
+from .sampling import INNER, OPTIONS
 from .scene import ALL_RAYS
 
 
@@ -206,7 +206,7 @@ def _metal(c: Any, o: int) -> None:
     layer(c, o, r, g, b)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**OPTIONS)
 def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -> None:
     """Fill closure from the material inputs at a point seen along frame[F_WI].
 
@@ -265,7 +265,7 @@ def _mark(c: Any) -> None:
             c[C_HAS_EVAL] = 1.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**OPTIONS)
 def bsdf_blur(closure: Any, alpha: float) -> None:
     """Filter Glossy: raise the alpha of every glossy lobe to at least alpha.
 
@@ -366,7 +366,7 @@ def _add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float, o
     return common / (1.0 + lambda_i) * ((total - reflected) if transmit else reflected) / total
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**OPTIONS)
 def bsdf_eval(closure: Any, wx: float, wy: float, wz: float, out: Any, visibility: int = ALL_RAYS) -> None:
     """Value of the BSDF towards the unit direction w: out[0:3] = f * |cos|, out[O_PDF] = pdf. w below the surface means transmission.
 
@@ -374,6 +374,7 @@ def bsdf_eval(closure: Any, wx: float, wy: float, wz: float, out: Any, visibilit
     Like Cycles, it tests w against the normals that the lobes use, not against the geometric normal: smooth shading would show the triangles.
     """
     out[O_WEIGHT] = out[O_WEIGHT + 1] = out[O_WEIGHT + 2] = 0.0
+    x, y, z = np.float64(wx), np.float64(wy), np.float64(wz)  # one variant of what follows
     pdf, picks = 0.0, 0.0
     for o in range(C_LOBES, C_LOBES + int(closure[C_COUNT]) * LOBE, LOBE):
         picks += closure[o + LOBE_PICK]
@@ -386,7 +387,7 @@ def bsdf_eval(closure: Any, wx: float, wy: float, wz: float, out: Any, visibilit
         elif kind == REFRACTION:
             rays = TRANSMISSION_RAYS
         if visibility & rays:
-            pdf += closure[o + LOBE_PICK] * _add_eval(closure, o, wx, wy, wz, 0.0, out)
+            pdf += closure[o + LOBE_PICK] * _add_eval(closure, o, x, y, z, 0.0, out)
     for k in range(3):
         out[k] = out[O_WEIGHT + k]
     out[O_PDF] = pdf / picks if picks > 0.0 else 0.0
@@ -437,7 +438,7 @@ def _microfacet(c: Any, o: int, u0: float, u1: float) -> tuple[float, float, flo
     return _basis(x * scale, y * scale, z * scale, nx, ny, nz)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**OPTIONS)
 def bsdf_sample(closure: Any, u0: float, u1: float, u2: float, out: Any) -> int:
     """Sample a direction with three uniform numbers of [0, 1). Returns label bits, 0 where the path is absorbed; out as O_* say."""
     c = closure
@@ -526,7 +527,7 @@ def bsdf_sample(closure: Any, u0: float, u1: float, u2: float, out: Any) -> int:
     return label
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**OPTIONS)
 def bsdf_transparency(params: Any, shader: int, out: Any) -> None:
     """What a shadow ray keeps when it crosses this surface: out[0:3]. Only transparency counts; glass stops a shadow ray, as in Cycles."""
     for k in range(3):
@@ -534,4 +535,4 @@ def bsdf_transparency(params: Any, shader: int, out: Any) -> None:
         if shader == TRANSPARENT_SHADER:
             out[k] = max(params[P_BASE + k], 0.0)
         elif shader == PRINCIPLED:
-            out[k] = 1.0 - clip(params[P_ALPHA])
+            out[k] = 1.0 - clip(np.float64(params[P_ALPHA]))

@@ -55,7 +55,7 @@ from .shading import (
     transmits_shadow,
 )
 
-_CAMERA, _SHADOW = int(RayType.CAMERA), int(RayType.SHADOW)
+_CAMERA, _SHADOW, _NEAREST = int(RayType.CAMERA), np.int64(RayType.SHADOW), np.int64(1)  # a literal argument would compile another variant
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 # What a ray from far away adds to the error at its end, per distance: 12 roundings to take its origin there, 5 of the distance to the plane, 4 of its length.
 _REACH = np.float32(24 * 2.0**-24)
@@ -65,7 +65,7 @@ _INSTANCE_BYTES = np.uint64(48)
 @njit(**INNER)
 def may_be_blocked(s, w, words, far):
     """Whether a box of what is culled lies on the ray at address words, before far."""
-    return s.boxes != np.uint64(0) and count_boxes(s.boxes, s.box_counters, s.box_count, w.query, words, far, _SHADOW, 1) > 0
+    return s.boxes != np.uint64(0) and count_boxes(s.boxes, s.box_counters, s.box_count, w.query, words, far, _SHADOW, _NEAREST) > 0
 
 
 @njit(**INNER)

@@ -42,6 +42,12 @@ def kernel_sources(core: Path) -> list[Path]:
     return [core / f"{name}.py" for name in sorted(found)]
 
 
+def kept() -> int:
+    """How many compiled kernels the folder in use has."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    return sum(1 for _ in Path(folder).glob("*/*.nbi")) if folder else 0
+
+
 def use(folder: Path | None = None) -> Path | None:
     """Have numba keep compiled kernels under folder (default `user_cache()`), in a subfolder for these sources. Returns it, None where it cannot be written.
 

@@ -24,7 +24,7 @@ from .light_tree import NODE, LightBounds, LightTree, build_light_tree, sample_t
 from .memory import address, f32_pointer, load_f32, load_i32, load_i64, load_u64, offset
 from .sampling import OPTIONS, normalize
 from .scene import F32, I32, Mesh, RayType, Scene
-from .shading import T_TRANSFORM, vertex
+from .shading import T_TRANSFORM, corners
 
 # Light table, uint64[LIGHTS]: counts and addresses.
 (
@@ -288,9 +288,7 @@ def triangle_edges(meshes, table, instance, triangle):
     """
     mesh = meshes + np.uint64(load_i32(table[1], instance)) * _MESH_SIZE
     m = table[T_TRANSFORM] + np.uint64(48) * np.uint64(instance)
-    ax, ay, az = vertex(mesh, triangle, 0)
-    bx, by, bz = vertex(mesh, triangle, 1)
-    cx, cy, cz = vertex(mesh, triangle, 2)
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners(mesh, triangle)
     ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
     m00, m01, m02, tx = load_f32(m, 0), load_f32(m, 1), load_f32(m, 2), load_f32(m, 3)
     m10, m11, m12, ty = load_f32(m, 4), load_f32(m, 5), load_f32(m, 6), load_f32(m, 7)

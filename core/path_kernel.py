@@ -86,7 +86,7 @@ from .path_state import (
     scenery,
     scratch,
 )
-from .sampling import INNER, mix, normalize, path_key, power_heuristic, uniform2
+from .sampling import INNER, OPTIONS, mix, normalize, path_key, power_heuristic, uniform2
 from .scene import InstanceFlag, RayType, Shader
 from .shading import (
     M_MIS,
@@ -148,7 +148,7 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
     last = False  # a limit is reached: only emission counts, and what lies behind transparency
     stop = False  # too many transparent surfaces: ends at the next surface
     after_diffuse = False
-    mis = False
+    mis = bounce > 0  # False: a literal would compile what it is given to once more
     pdf = min_pdf = FAR
     px, py, pz = ox, oy, oz  # where the last bounce was
     nx = ny = nz = _ZERO
@@ -312,7 +312,7 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         ox, oy, oz = offset_origin(w.surf, w.frame, dx, dy, dz)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**OPTIONS)
 def trace_tile(x0, y0, x1, y1, a):
     """Trace all samples of the pixels [x0, x1) x [y0, y1), or those paths that A_ONLY marks; a: addresses, A_*.
 

@@ -102,6 +102,8 @@ def local_origin(low: F64, high: F64, transform: F64, camera: Camera) -> F64:
     """
     zero = np.zeros(3)
     reach = np.maximum(np.abs(low), np.abs(high)).max()
+    if reach * 1.7321 * np.abs(transform[:, :, :3]).max(initial=0) <= local_reach(camera):  # no axis is longer than that: quickly said, as a rule
+        return zero
     scale = np.linalg.norm(transform[:, :, :3], axis=1).max(axis=1)
     if not (reach * scale).max(initial=0) > local_reach(camera):
         return zero

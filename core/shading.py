@@ -106,11 +106,17 @@ def material_of(table, mesh, instance, triangle):
 
 
 @njit(**INNER)
-def vertex(mesh, triangle, corner):
-    """Corner of a triangle in object space: 3 float32."""
-    i = 3 * np.int64(load_u32(load_u64(mesh + _TRIANGLES, 0), 3 * triangle + corner))
-    p = load_u64(mesh + _POSITIONS, 0)
-    return load_f32(p, i), load_f32(p, i + 1), load_f32(p, i + 2)
+def corners(mesh, triangle):
+    """The corners of a triangle in object space: 9 float32."""
+    rows, p = load_u64(mesh + _TRIANGLES, 0), load_u64(mesh + _POSITIONS, 0)
+    a = 3 * np.int64(load_u32(rows, 3 * triangle))
+    b = 3 * np.int64(load_u32(rows, 3 * triangle + 1))
+    c = 3 * np.int64(load_u32(rows, 3 * triangle + 2))
+    return (
+        *(load_f32(p, a), load_f32(p, a + 1), load_f32(p, a + 2)),
+        *(load_f32(p, b), load_f32(p, b + 1), load_f32(p, b + 2)),
+        *(load_f32(p, c), load_f32(p, c + 1), load_f32(p, c + 2)),
+    )
 
 
 @njit(**INNER)
@@ -148,9 +154,7 @@ def interpolate(mesh, m, triangle, b1, b2, surf, frame):
     - Vertices minus origin: u of the distances. The normal's direction, from edges of these differences: two roundings of each difference and two of each
       product in the best conditioned cross product of two edges, relative to the area: 4 u times (1 + 1 / sine of the angle), capped at slivers of 2^-10.
     """
-    ax, ay, az = vertex(mesh, triangle, 0)
-    bx, by, bz = vertex(mesh, triangle, 1)
-    cx, cy, cz = vertex(mesh, triangle, 2)
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners(mesh, triangle)
     ax, ay, az = np.float64(ax), np.float64(ay), np.float64(az)
     b0 = 1.0 - np.float64(b1) - np.float64(b2)
     x = b0 * ax + b1 * np.float64(bx) + b2 * np.float64(cx)
@@ -378,9 +382,7 @@ def apply_normal_map(table, mesh, m, material, triangle, b1, b2, back, frame):
     area = du1 * dv2 - du2 * dv1
     if area == _ZERO:
         return
-    ax, ay, az = vertex(mesh, triangle, 0)
-    bx, by, bz = vertex(mesh, triangle, 1)
-    cx, cy, cz = vertex(mesh, triangle, 2)
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners(mesh, triangle)
     s = _ONE if area > _ZERO else -_ONE
     ox = s * (dv2 * (bx - ax) - dv1 * (cx - ax))
     oy = s * (dv2 * (by - ay) - dv1 * (cy - ay))
@@ -443,9 +445,7 @@ def shadow_origin(mesh, m, triangle, surf, frame, lx, ly, lz):
     nx0, ny0, nz0 = load_f32(n, i), load_f32(n, i + 1), load_f32(n, i + 2)
     nx1, ny1, nz1 = load_f32(n, i + 3), load_f32(n, i + 4), load_f32(n, i + 5)
     nx2, ny2, nz2 = load_f32(n, i + 6), load_f32(n, i + 7), load_f32(n, i + 8)
-    ax, ay, az = vertex(mesh, triangle, 0)
-    bx, by, bz = vertex(mesh, triangle, 1)
-    cx, cy, cz = vertex(mesh, triangle, 2)
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners(mesh, triangle)
     px, py, pz = b0 * ax + b1 * bx + b2 * cx, b0 * ay + b1 * by + b2 * cy, b0 * az + b1 * bz + b2 * cz
     nx, ny, nz = b0 * nx0 + b1 * nx1 + b2 * nx2, b0 * ny0 + b1 * ny1 + b2 * ny2, b0 * nz0 + b1 * nz1 + b2 * nz2
     wx = load_f32(m, 0) * nx + load_f32(m, 1) * ny + load_f32(m, 2) * nz

@@ -17,6 +17,7 @@ from . import path_state as state
 from .blas import BlasCache
 from .camera import camera_constants
 from .change import Change
+from .compiling import share
 from .feedback import Feedback
 from .film import Picture, filter_offsets
 from .hitboxes import ALL_CROSSINGS, Hitboxes
@@ -115,6 +116,7 @@ def trace(
     Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of what is culled, to tell for the parts
     which light of lamps that may block.
     """
+    share()
     scene = prepared.scene
     width, height = size or (scene.film.width, scene.film.height)
     sums = np.zeros((height, width, 4), np.float32)

@@ -6,7 +6,7 @@ import gc
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -156,12 +156,11 @@ class Session:
 
     def close(self) -> None:
         """Let go of everything, in Blender too."""
-        if self._extractor is None:
-            return
         self.forget()
-        with muted():
-            self._extractor.release()
-        self._extractor = None
+        if self._extractor is not None:
+            with muted():
+                self._extractor.release()
+            self._extractor = None
         gc.collect()
 
     def sync(self, frame: int) -> tuple[Extraction, dict[str, Any]]:
@@ -170,8 +169,13 @@ class Session:
         with muted():
             writeback.restore()
             self._extractor = self._extractor or Extractor(bpy.context.scene)
-            extraction = self._extractor.frame(frame, self.keep)
+            extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
         return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}
+
+    def end_reading(self) -> None:
+        """No frame follows: let go of what would tell it from the last one. Meshes of that can still be read."""
+        if not self.keep:
+            self._extractor = None
 
     def decide(self, extraction: Extraction, scene: Scene | None = None, progress: Progress = silent, cancelled: Cancel = never) -> CullingResult:
         """Which instances of the frame that was extracted last stay. scene: what to look at in its place, with the same instances and meshes."""
@@ -206,6 +210,8 @@ def run_frame(session: Session, frame: int, report: Report, progress: Progress =
         report.add_frame(_render_whole(job, frame, progress))
         return
     extraction, entry = session.sync(frame)
+    if last:
+        session.end_reading()
     check(cancelled)
     approximated, warnings = extraction.scene.approximated, extraction.warnings
     if job.engine == "hybrid":

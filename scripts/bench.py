@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from ..core.report import SECONDS
 from . import compare
 from .compare import CULLED, FULL, OTHER_SEED, cores, markdown
 
@@ -139,7 +140,7 @@ def city(folder: Path, repeats: int) -> dict[str, Any]:
         seconds = {key: statistics.median(f[key] for f in frames) for key in frames[0] if key.endswith("_s")}
         counts = {key: frames[-1][key] for key in ("instances", "active", "hitboxes", "blas_bytes", "tlas_bytes")}
         # From the open file to the picture: the interpreter's start and the reading of the file are the same for both.
-        out[name] = seconds | counts | {"work_s": median(name, lambda r: sum(v for k, v in r["frames"][0].items() if k.endswith("_s")))}
+        out[name] = seconds | counts | {"work_s": median(name, lambda r: sum(v for k, v in r["frames"][0].items() if k in SECONDS))}
         out[name] |= {"process_s": median(name, lambda r: r["process_s"]), "peak_bytes": median(name, lambda r: r["totals"]["peak_bytes"])}
     return out
 

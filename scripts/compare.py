@@ -29,6 +29,7 @@ def render(scene: Path, folder: Path, name: str, options: Sequence[str]) -> dict
     """One of the renders FULL, OTHER_SEED and CULLED of a scene by Cycles into folder/name; its report, and the seconds of the whole command as `process_s`."""
     policy = "light-paths" if name == CULLED else "none"
     seed = "1" if name == OTHER_SEED else "0"
+    (folder / name / "report.json").unlink(missing_ok=True)  # which would go on with the peak memory of the run before
     seconds = lipac("render", scene, "-o", folder / name, "--engine", "cycles", "--cull", policy, "--seed", seed, *options)
     report: dict[str, Any] = json.loads((folder / name / "report.json").read_text())
     return report | {"process_s": seconds}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import gc
 import hashlib
 import os
 import re
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from ..core.budget import SPREAD, Budget
 from ..core.culling import DEFAULT_BUDGET, POLICIES, CullOptions
 from ..core.errors import InputError
-from ..core.kernels import telling
+from ..core.kernels import load_ahead, telling
 from ..core.progress import Progress, Terminal, silent
 
 if TYPE_CHECKING:
@@ -237,10 +238,14 @@ def do_frames(
         with muted():
             import bpy
         from ..lipac_addon.baked import check_target
+        from ..lipac_addon.engines import BLENDER_ENGINES
         from ..lipac_addon.hybrid import HybridOptions
         from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
         from ..lipac_addon.pipeline import Job, run
 
+        gc.freeze()  # what is loaded by now stays: who collects garbage need not look through it
+        if args.cull != "none" or engine not in BLENDER_ENGINES:
+            load_ahead()
         if args.scene is not None:
             open_scene(args.scene)
         if save is not None:

@@ -22,7 +22,7 @@ from ...core.scene import F32, F64, InstanceFlag, RayType
 from ..keys import Kind
 from .lights import LampData, read_lamp
 from .mesh_table import MeshTable
-from .meshes import read
+from .meshes import matrices, read
 from .slots import Slots, SlotTable, material_slots
 
 GEOMETRY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL"}
@@ -318,13 +318,13 @@ class GraphReader:
         if cloud is None:
             return out
         count, out.ids = len(cloud.points), "id" in cloud.attributes
-        out.columns = read(cloud.attributes["instance_transform"].data, "value", count, 16).reshape(count, 4, 4)
+        out.columns = matrices(cloud.attributes["instance_transform"].data, count, geometry)
         reference = read(cloud.attributes[".reference_index"].data, "value", count, dtype=np.int32)
         targets = list(zip(geometry.instance_references(), kept.instance_references(), strict=True))
         if len(targets) == 1:
             out.groups.append((None, self._reference(*targets[0], item, f"{key}/0", lines)))
         elif targets:
-            order = np.argsort(reference, kind="stable")
+            order = np.argsort(reference.astype(np.min_scalar_type(len(targets))), kind="stable")  # small types are sorted by counting
             ends = np.searchsorted(reference[order], np.arange(len(targets) + 1))
             for k, (a, b) in enumerate(pairwise(ends)):
                 if b > a:

@@ -83,6 +83,28 @@ def read(collection: Any, name: str, count: int, width: int = 1, dtype: type = n
     return out if width == 1 else out.reshape(count, width)
 
 
+def matrices(collection: Any, count: int, owner: Any) -> NDArray[np.float32]:
+    """The 4x4 matrices of an attribute, (count, 4, 4) float32, column-major as Blender stores them: not to be written to. They are read in place, where
+    Blender says that they lie one after the other, and keep owner, whose they are, alive; at a million that saves 64 MB, and the time to fill them.
+    """
+    if count < 2:
+        return read(collection, "value", count, 16).reshape(count, 4, 4)
+    first, last = collection[0], collection[count - 1]
+    if last.as_pointer() - first.as_pointer() != 64 * (count - 1):
+        return read(collection, "value", count, 16).reshape(count, 4, 4)
+    out = np.asarray(_InPlace(first.as_pointer(), (count, 4, 4), owner))
+    same = all(np.array_equal(out[k].T, np.array(item.value, np.float32), equal_nan=True) for k, item in ((0, first), (-1, last)))
+    return out if same else read(collection, "value", count, 16).reshape(count, 4, 4)
+
+
+class _InPlace:
+    """float32 numbers at an address, for NumPy; arrays of them keep this alive."""
+
+    def __init__(self, address: int, shape: tuple[int, ...], owner: Any) -> None:
+        self.owner = owner
+        self.__array_interface__ = {"version": 3, "typestr": "<f4", "shape": shape, "data": (address, False)}  # kernels have but one variant
+
+
 def _positions(mesh: Any) -> F32:
     return read(mesh.attributes["position"].data, "vector", len(mesh.vertices), 3)
 

@@ -6,6 +6,7 @@ import time
 from types import TracebackType
 from typing import Any
 
+from ...core.compiling import share
 from ...core.errors import InputError
 from .camera import NO_CAMERA
 from .depsgraph import RenderGraph
@@ -28,6 +29,7 @@ class Extractor:
 
     def __init__(self, scene: Any, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None) -> None:
         """scene: bpy.types.Scene; view_layer: name, None takes the first that is used for rendering; world: instead of the scene's own, for all frames."""
+        share()
         self.scene = scene
         self.allow_no_camera = allow_no_camera
         self._graph = RenderGraph(scene, view_layer)

@@ -1,12 +1,52 @@
-"""Compiling is said, and nothing else meanwhile."""
+"""Kernels are loaded ahead only where they are compiled, and compiling is said."""
 
 from __future__ import annotations
 
 import math
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numba
+import pytest
 
-from lipac.core.kernels import telling
+from lipac.core import scene as s
+from lipac.core.analysis import analyze
+from lipac.core.culling import CullOptions
+from lipac.core.kernels import KERNELS, LAST, telling
+from lipac.core.path_kernel import trace_tile
+
+from . import scenes
+
+LOAD = """
+import threading
+from lipac.core.kernels import load_ahead
+load_ahead()
+for thread in threading.enumerate():
+    if thread.name == "kernels":
+        thread.join()
+import sys
+kernels = sys.modules.get("lipac.core.path_kernel")
+print("LOADED", 0 if kernels is None else sum(kernels.trace_tile.stats.cache_hits.values()))
+"""
+TYPES = (*[numba.int64] * 4, numba.uint64[::1])
+
+
+@pytest.mark.parametrize("cold", [False, True])
+def test_kernels_are_loaded_ahead_where_they_are_compiled(cold, tmp_path, monkeypatch):
+    if cold:
+        monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
+    else:
+        trace_tile.compile(TYPES)
+    done = subprocess.run([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True, check=True)
+    assert done.stdout.split() == ["LOADED", "0" if cold else "1"]
+
+
+def test_the_loaded_kernel_is_the_one_that_tracing_calls():
+    scene = scenes.build([scenes.cube()], [(0, scenes.placed((0, 3, 0)), 0)], [s.default_material()])
+    analyze(scene, CullOptions(policy="none"))
+    assert trace_tile.signatures == [TYPES]
 
 
 def test_compiling_is_said_and_nothing_else_meanwhile():
@@ -29,3 +69,23 @@ def test_compiling_is_said_and_nothing_else_meanwhile():
     assert said[-1] == (0.6, "building")
     assert len(said) == 4
     assert all(math.isnan(fraction) and what.startswith("compiling kernels") for fraction, what in said[1:-1])
+
+
+def test_the_share_counts_what_other_processes_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "core_1"
+    folder.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    said: list[str] = []
+
+    @numba.njit
+    def kernel(x):
+        return x + 1
+
+    with telling(lambda fraction, what: said.append(what)):
+        kernel(3)
+        for k in range(KERNELS // 2):
+            (folder / f"{k}.nbi").write_bytes(b"")
+        kernel(3.0)
+    shares = [int(share) for text in said for share in re.findall(r"(\d+)%", text)]
+    assert shares == [0, round(50 * (1 - LAST))]
+    assert "left" in said[1]

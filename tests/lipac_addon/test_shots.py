@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import weakref
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -314,3 +315,40 @@ def test_memory_is_flat(moving: Any, tmp_path: Path, keep: bool, last: int) -> N
             seen.append(resident())
     session.close()
     assert seen[1] - seen[0] < 0.24 * (last - 10)
+
+
+def test_the_last_frame_keeps_nothing_to_compare_it_with(boxes: Any, tmp_path: Path) -> None:
+    """What Blender gave of a scatter, 64 bytes an instance, is let go of before the analysis; meshes can still be read."""
+    box = bpy.data.objects["box1"]
+    host = bpy.data.objects.new("host", box.data)
+    bpy.context.scene.collection.objects.link(host)
+    host.modifiers.new("scatter", "NODES").node_group = _scatter_group(box)
+    session = Session(Job(tmp_path, (1,), OPTIONS, "cycles"))
+    extraction, _ = session.sync(1)
+    assert session._extractor is not None
+    found = [node.geometry.columns for node in session._extractor._reader.graph._order if node.geometry is not None and len(node.geometry.columns)]
+    columns = [weakref.ref(array) for array in found]
+    assert len(columns) == 1
+    found.clear()
+    assert columns[0]() is not None
+    session.end_reading()
+    gc.collect()
+    assert columns[0]() is None
+    assert session.decide(extraction).active.any()
+    session.close()
+
+
+def _scatter_group(source: Any) -> Any:
+    """A modifier's node group that instances an object on the points of the geometry."""
+    group = bpy.data.node_groups.new("scatter", "GeometryNodeTree")
+    group.is_modifier = True
+    for way in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    kinds = ("NodeGroupInput", "NodeGroupOutput", "GeometryNodeInstanceOnPoints", "GeometryNodeObjectInfo")
+    inputs, output, place, info = (group.nodes.new(kind) for kind in kinds)
+    info.inputs["Object"].default_value = source
+    info.inputs["As Instance"].default_value = True
+    group.links.new(inputs.outputs[0], place.inputs["Points"])
+    group.links.new(info.outputs["Geometry"], place.inputs["Instance"])
+    group.links.new(place.outputs["Instances"], output.inputs[0])
+    return group

@@ -12,7 +12,7 @@ from lipac.core.blas import BlasCache
 from lipac.core.embree import lib
 from lipac.core.scene import RAY_TYPES, Instances, Mesh, world_bounds
 from lipac.core.tlas import Tlas
-from lipac.scripts import bench, bench_tracing
+from lipac.scripts import bench, bench_tracing, compare
 
 
 def _tetrahedra(count: int) -> tuple[Tlas, Instances]:
@@ -90,3 +90,18 @@ def test_a_missing_compiler_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     result = bench_tracing.rays(tmp_path)
     assert "compiler" in result["skipped"]
     assert "compiler" in bench.report({"rays": result | {"machine": "M"}})
+
+
+def test_a_run_does_not_inherit_the_peak_memory_of_the_one_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The report of a command goes on with what its folder has; a measurement begins anew."""
+    report = tmp_path / compare.CULLED / "report.json"
+    report.parent.mkdir()
+    report.write_text('{"totals": {"peak_bytes": 9e9}}')
+
+    def command(*_: object) -> float:
+        assert not report.exists()
+        report.write_text('{"totals": {"peak_bytes": 1}}')
+        return 2.0
+
+    monkeypatch.setattr(compare, "lipac", command)
+    assert compare.render(tmp_path / "scene.blend", tmp_path, compare.CULLED, ()) == {"totals": {"peak_bytes": 1}, "process_s": 2.0}

@@ -384,3 +384,19 @@ def test_vanished_meshes_are_freed() -> None:
         gc.collect()
         assert [source() for source in sources] == [None, None]
         assert len(second.scene.instances) == 1
+
+
+def test_rows_of_a_scatter_are_read_in_place_and_stay_when_blender_has_forgotten_them() -> None:
+    host = scatter(add("leaf", wedge(), collection("hidden", linked=False)))
+    extraction = extract_frame(bpy.context.scene)
+    rows = extraction.scatters[host.name]
+    assert not rows.flags.owndata
+    was = rows.copy()
+    placed = extraction.scene.instances.transform[extraction.keys.records["path"][:, 0] >= 0][:, :, 3] + extraction.scene.origin
+    assert np.allclose(was, placed, atol=1e-5)  # 20 m in float32
+    del extraction
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    gc.collect()
+    junk = [np.full(16 * 900, 7, np.float32) for _ in range(1000)]  # into what was freed
+    assert np.array_equal(rows, was)
+    del junk
