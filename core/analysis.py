@@ -75,12 +75,14 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     unseen = unseen_share(measured.met, measured.feedback.paths)
     known = any(hits.lamps_known for hits in loop.scene.first_hits.values())
     base = Base(measured.log, measured.weights.total.astype(np.float64) * measured.weights.unit if known else None)
+    trial = PathLog.zeros(*measured.log.luminance.shape)
     loop.timer.add("feedback_s", start)
 
     def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
         keep = np.zeros(len(loop.active), bool)
         keep[ids[~cull]] = True
-        return loop.trace_without(measured.tlas, measured.first_sample, keep, only)
+        loop.trace_without(measured.tlas, measured.first_sample, keep, only, trial)
+        return trial
 
     before = None if loop.known is None else loop.known[ids] & ~loop.kept[ids]
     certain = np.where(loop.pinned[ids, None], np.inf, worth)

@@ -66,19 +66,23 @@ class Base:
         means = sums / counts
         self.light = counts * np.maximum(means, max(DARK * means.mean(), 1e-30))
 
-    def compare(self, only: np.ndarray, luminance: F32, before: PathLog) -> Trial:
+    def nothing(self) -> Trial:
+        """Where nothing is culled."""
+        return Trial(np.zeros(TILES), np.zeros(TILES), self.confidence)
+
+    def compare(self, only: np.ndarray, luminance: F32, before: PathLog, already: Trial) -> Trial:
         """The change by culling some entries, where others are perhaps culled already.
 
-        before: the log without those others; only: its `PathLog.affected` by those that are new; luminance: (H, W, S) float32 of the paths marked there, traced
-        without any of them.
+        before, already: the log, and the trial, without those others; only: `PathLog.affected` of that log by those that are new; luminance: (H, W, S) float32
+        of the paths marked there, traced without any of them.
         """
         paths = np.flatnonzero(only.reshape(-1))
-        difference = before.luminance.reshape(-1).astype(np.float64) - self.luminance.reshape(-1)
-        difference[paths] = luminance.reshape(-1)[paths].astype(np.float64) - self.luminance.reshape(-1)[paths]
-        difference /= self.light[self.tile]
-        change = np.bincount(self.tile, difference, TILES)
-        deviation = np.sqrt(np.bincount(self.tile, difference**2, TILES))
-        return Trial(change, deviation, self.confidence)
+        tile = self.tile[paths]
+        measured, light = self.luminance.reshape(-1)[paths].astype(np.float64), self.light[tile]
+        then, now = ((x.reshape(-1)[paths] - measured) / light for x in (before.luminance, luminance))
+        change = already.change + np.bincount(tile, now - then, TILES)
+        squares = already.deviation**2 + np.bincount(tile, now**2 - then**2, TILES)
+        return Trial(change, np.sqrt(np.maximum(squares, 0.0)), self.confidence)
 
     def bound_by_entry(self, culled: np.ndarray, only: np.ndarray, luminance: F32, before: PathLog) -> F64:
         """The bound of what each of the culled entries, (A,) bool with C of them, changed alone: (C, T) float64, by the paths that met it before any other of
@@ -117,7 +121,7 @@ class Search:
         paths: float = PATHS,
     ) -> None:
         """log: of the base; becomes that of what is chosen. without: log of the paths (H, W, S) that its second argument marks, without the entries that its
-        first, (A,) bool, culls.
+        first, (A,) bool, culls; valid there, and until it is called again.
 
         worth: (A, T) relative change of each tile that culling an entry is expected to make, infinite for what must stay. unseen: change already owed to what
         no path met. before: (A,) bool, what was culled in the last frame: where that keeps to the budget no less is culled, and no more either where it uses
@@ -141,7 +145,7 @@ class Search:
             if more is None:
                 break
             tried.add(more.tobytes())
-            choice = self._try(more, best.cull)
+            choice = self._try(more, best)
             if choice is None:
                 share, failed = share / 2, failed + 1
             else:
@@ -150,11 +154,11 @@ class Search:
 
     def _first(self) -> Choice:
         """What was culled in the last frame, and what is worth nothing, which no path met; that alone where the whole breaks the budget, or nothing at all."""
-        nothing, unmet = np.zeros(len(self.worth), bool), self.worth.sum(axis=1) == 0
+        nothing, unmet = Choice(np.zeros(len(self.worth), bool), self.base.nothing()), self.worth.sum(axis=1) == 0
         choice = None
         if self.before is not None:
             choice = self._try((self.before | unmet) & np.isfinite(self.worth).all(axis=1), nothing)
-        return choice or self._try(unmet, nothing) or Choice(nothing, Trial(np.zeros(TILES), np.zeros(TILES), self.base.confidence))
+        return choice or self._try(unmet, nothing) or nothing
 
     def _more(self, best: Choice, share: float, tried: set[bytes]) -> np.ndarray | None:
         """A larger set to cull, (A,) bool, within a share of what one leaves of the budget; None where nothing is left to try."""
@@ -170,20 +174,20 @@ class Search:
             mean, tiles = WIDER * mean, WIDER * tiles
         return None
 
-    def _try(self, cull: np.ndarray, already: np.ndarray) -> Choice | None:
+    def _try(self, cull: np.ndarray, already: Choice) -> Choice | None:
         """Trace without cull, (A,) bool; None where that breaks the budget, or would take more paths than are left.
 
-        already: (A,) bool, a part of it, whose log there is: only paths that met what else is culled can differ from that. What breaks the budget is measured
-        all the same, and known better than it was predicted.
+        already: a part of it, whose log there is: only paths that met what else is culled can differ from that. What breaks the budget is measured all the
+        same, and known better than it was predicted.
         """
-        new = cull & ~already
+        new = cull & ~already.cull
         only = self.log.affected(new)
         paths = int(np.count_nonzero(only))
         if self.traced + paths > self.allowed:
             return None
         self.traced += paths
         after = self.without(cull, only) if paths else self.log
-        choice = Choice(cull, self.base.compare(only, after.luminance, self.log))
+        choice = Choice(cull, self.base.compare(only, after.luminance, self.log, already.trial))
         if self._excess(choice) <= 1:
             self.log.update(only, after)
             return choice

@@ -106,7 +106,7 @@ class Judge:
         """Change by culling to keep (N,) bool."""
         only = self._affected(keep)
         _, luminance = self.loop.trace_paths(keep, self.first_sample, only)
-        trial = self.base.compare(only, luminance, self.log)
+        trial = self.base.compare(only, luminance, self.log, self.base.nothing())
         return Change(trial.change, trial.confidence * trial.deviation)
 
     def picture(self, keep: np.ndarray) -> F32:

@@ -307,22 +307,22 @@ class Loop:
         self.timer.add("trace_s", start)
         return picture.mean, log.luminance
 
-    def trace_without(self, full: Tlas, first_sample: int, keep: np.ndarray, only: NDArray[np.uint8], progress: Progress = silent) -> PathLog:
-        """What those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with only keep (N,) bool in the scene, by the numbers of
-        the entries of full.
+    def trace_without(self, full: Tlas, first_sample: int, keep: np.ndarray, only: NDArray[np.uint8], log: PathLog, progress: Progress = silent) -> None:
+        """Into log what those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with only keep (N,) bool in the scene, by the
+        numbers of the entries of full.
 
-        The other paths' part of the log is empty.
+        The other paths of the log stay as they are.
         """
         tlas = self.build(keep)
         start = time.perf_counter()
-        log = PathLog.zeros(*only.shape)
+        records = log.records.reshape(-1, RECORD)
+        records[np.flatnonzero(only), 0] = 0
         feedback = Feedback.zeros(len(self.active))  # without which paths are not recorded
         picture = self._trace(self._dark_but(keep), tlas, only.shape[2], first_sample, feedback, progress, self.size, log, only)
         by_instance = np.argsort(full.ids)
-        renumber(log.records.reshape(-1, RECORD), only.reshape(-1), by_instance[np.searchsorted(full.ids[by_instance], tlas.ids)])
+        renumber(records, only.reshape(-1), by_instance[np.searchsorted(full.ids[by_instance], tlas.ids)])
         self.rays += picture.rays
         self.timer.add("trace_s", start)
-        return log
 
     def _dark_but(self, keep: np.ndarray) -> Prepared:
         """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""

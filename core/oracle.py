@@ -34,6 +34,7 @@ def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterab
 
     worth (A, T), ids (A,): `Judge.exhaustive_weights`. proposals: sets (N,) bool to start from too.
     """
+    trial = PathLog.zeros(*judge.log.luminance.shape)
     savings = Savings.among(judge.scene.instances.mesh[ids], judge.loop.blas.bytes_of)
 
     def kept(cull: np.ndarray) -> np.ndarray:
@@ -42,7 +43,8 @@ def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterab
         return keep
 
     def without(cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
-        return judge.loop.trace_without(judge.tlas, judge.first_sample, kept(cull), only)
+        judge.loop.trace_without(judge.tlas, judge.first_sample, kept(cull), only, trial)
+        return trial
 
     def thinned_out(first: np.ndarray | None, progress: Progress) -> np.ndarray:
         return kept(Search(judge.base, judge.log.copy(), without, worth, savings, budget, before=first, paths=PATHS).run(progress).cull)

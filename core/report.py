@@ -180,7 +180,8 @@ class Report:
             for f in self.frames
         ]
         totals = self.totals()
-        last = f"{sum(totals[name] for name in SECONDS):.1f} s in all, of which {totals['render_s']:.1f} s rendering"
+        together = sum(f.get("overlap_s", 0.0) for f in self.frames)  # counted twice
+        last = f"{sum(totals[name] for name in SECONDS) - together:.1f} s in all, of which {totals['render_s']:.1f} s rendering"
         peak = f"; peak memory {size(totals['peak_bytes'])}" if totals["peak_bytes"] else ""
         return "\n".join([*_aligned([head, *rows]), *self._error(), last + peak])
 

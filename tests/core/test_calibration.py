@@ -59,7 +59,8 @@ def test_affected_against_a_plain_search() -> None:
 def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
     """Culling a set in three steps, each tracing only what it changes: luminances, records and changes as of a trace of every path without the whole set."""
     loop, m = measured
-    base, log = Base(m.log), m.log.copy()
+    base, log, after = Base(m.log), m.log.copy(), m.log.copy()  # what a trial's log held before does not matter
+    trial = base.nothing()
     culled = np.zeros(len(m.tlas.ids), bool)
     for seed in range(3):
         more, _ = cull_some(loop, m, seed)
@@ -67,16 +68,17 @@ def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
         keep = np.zeros(len(loop.active), bool)
         keep[m.tlas.ids[~(culled | more)]] = True
         assert 0 < only.mean() < 1
-        after = loop.trace_without(m.tlas, m.first_sample, keep, only)
-        trial = base.compare(only, after.luminance, log)
+        loop.trace_without(m.tlas, m.first_sample, keep, only, after)
+        trial = base.compare(only, after.luminance, log, trial)
         log.update(only, after)
         culled |= more
-        everything = loop.trace_without(m.tlas, m.first_sample, keep, np.ones_like(only))
+        everything = PathLog.zeros(*only.shape)
+        loop.trace_without(m.tlas, m.first_sample, keep, np.ones_like(only), everything)
         np.testing.assert_array_equal(log.luminance, everything.luminance)
         entries = np.arange(RECORD) <= np.minimum(log.records[..., :1], RECORD - 1)  # what is behind them is nobody's
         np.testing.assert_array_equal(np.where(entries, log.records, 0), np.where(entries, everything.records, 0))
         assert not (culled[log.records[..., 1:]] & entries[..., 1:]).any()
-        at_once = base.compare(m.log.affected(culled), everything.luminance, m.log)
+        at_once = base.compare(m.log.affected(culled), everything.luminance, m.log, base.nothing())
         np.testing.assert_allclose(trial.change, at_once.change, atol=1e-12)
         np.testing.assert_allclose(trial.deviation, at_once.deviation, atol=1e-12)
 
@@ -88,7 +90,7 @@ def test_change_is_that_of_the_picture(measured: tuple[Loop, Measurement]) -> No
     cull, keep = cull_some(loop, m, 1)
     only = m.log.affected(cull)
     luminance = loop.trace_paths(keep, m.first_sample, only)[1]
-    trial = base.compare(only, luminance, m.log)
+    trial = base.compare(only, luminance, m.log, base.nothing())
     height, width, samples = only.shape
     y, x = np.arange(height) * ROWS // height, np.arange(width) * COLUMNS // width
     tile = np.repeat((y[:, None] * COLUMNS + x[None, :]).ravel(), samples)
@@ -136,7 +138,8 @@ def test_deviation_is_that_of_repeated_measurements() -> None:
         other = log.luminance.copy()
         affected = rng.random(other.shape) < 0.05
         other[affected] = rng.exponential(2.0, int(affected.sum()))
-        trial = Base(log).compare(affected.astype(np.uint8), other, log)
+        base = Base(log)
+        trial = base.compare(affected.astype(np.uint8), other, log, base.nothing())
         stated.append(trial.deviation**2)
         changes.append(trial.change)
     assert np.mean(stated) == pytest.approx(np.var(changes, axis=0, ddof=1).mean(), rel=0.25)
@@ -161,7 +164,8 @@ class Additive:
     def excess(self, cull: np.ndarray, budget: Budget) -> float:
         """Of the true change, without margin."""
         only = self.log.affected(cull)
-        trial = Base(self.log).compare(only, self.without(cull, only).luminance, self.log)
+        base = Base(self.log)
+        trial = base.compare(only, self.without(cull, only).luminance, self.log, base.nothing())
         return max(trial.mean / budget.mean, float(np.abs(trial.change).max()) / budget.worst)
 
 

@@ -41,6 +41,12 @@ def test_empty_report_is_valid(tmp_path):
     assert "0.0 s in all" in report().table()
 
 
+def test_what_is_done_at_a_time_is_counted_once():
+    r = report()
+    r.add_frame({"frame": 1, "trace_s": 3.0, "render_s": 4.0, "overlap_s": 2.5})
+    assert "4.5 s in all, of which 4.0 s rendering" in r.table()
+
+
 def test_a_failure_leaves_the_old_file(tmp_path):
     file = tmp_path / "x.txt"
     file.write_text("old")
