@@ -8,12 +8,14 @@ from collections.abc import Callable
 import numpy as np
 
 from .budget import Budget, Savings, unseen_share
-from .calibration import Base, Search
+from .calibration import Base, Choice, Search
 from .culling import CullOptions, heuristic
 from .loop import CullingResult, Loop
 from .path_log import PathLog
 from .progress import Progress, part, silent
 from .scene import RAY_TYPES, Scene
+
+REFINED = 1e-3  # share of all instances
 
 
 def analyze(
@@ -62,32 +64,20 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     """Cull what saves most while the picture changes by no more than the budget; the score is the share of the picture that an instance is worth.
 
     What each instance is worth alone does not say what many are worth together, nor what lies behind them: `calibration` traces without them and finds out.
+    More paths tell more exactly what can go: they are measured where what stays is more than REFINED of the scene, for else little is left to win.
 
     Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that uses up the budget or all but a factor of
     options.hysteresis; else what it kept goes only where others would save so many times less for the same change.
     """
-    measured = loop.measured or loop.measure()
-    start = time.perf_counter()
-    ids = measured.tlas.ids
-    worth = measured.weights.relative()
-    reluctance = np.where(loop.kept[ids], loop.options.hysteresis, 1.0)
-    savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.bytes_of, reluctance)
-    unseen = unseen_share(measured.met, measured.feedback.paths)
-    known = any(hits.lamps_known for hits in loop.scene.first_hits.values())
-    base = Base(measured.log, measured.weights.total.astype(np.float64) * measured.weights.unit if known else None)
-    trial = PathLog.zeros(*measured.log.luminance.shape)
-    loop.timer.add("feedback_s", start)
-
-    def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
-        keep = np.zeros(len(loop.active), bool)
-        keep[ids[~cull]] = True
-        loop.trace_without(measured.tlas, measured.first_sample, keep, only, trial)
-        return trial
-
-    before = None if loop.known is None else loop.known[ids] & ~loop.kept[ids]
-    certain = np.where(loop.pinned[ids, None], np.inf, worth)
-    search = Search(base, measured.log, without, certain, savings, budget, unseen, before, loop.options.hysteresis)
-    chosen = search.run(progress)
+    search, chosen = _searched(loop, budget, part(progress, 0.0, 0.4))
+    paths = search.traced
+    measured = loop.measured
+    assert measured is not None
+    if measured.log.luminance.shape[2] < loop.samples and np.count_nonzero(~chosen.cull) > REFINED * np.count_nonzero(loop.exists):
+        measured = loop.measured = loop.measure_on(measured, part(progress, 0.4, 0.7))
+        search, chosen = _searched(loop, budget, part(progress, 0.7, 1.0))
+        paths += search.traced
+    ids, worth = measured.tlas.ids, measured.weights.relative()
     keep = loop.pinned.copy()
     keep[ids[~chosen.cull]] = True
     score = np.zeros(len(loop.active), np.float32)
@@ -98,6 +88,31 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
         "predicted_worst": float(predicted.max()),
         "calibrated_mean": chosen.trial.mean,
         "calibrated_worst": chosen.trial.worst,
-        "calibration_paths": search.traced,
+        "calibration_paths": paths,
     }
     return loop.result(keep, score, measured.feedback.hits, **error)
+
+
+def _searched(loop: Loop, budget: Budget, progress: Progress) -> tuple[Search, Choice]:
+    """The search among what is measured, and what it chose."""
+    measured = loop.measured = loop.measured or loop.measure()
+    start = time.perf_counter()
+    ids = measured.tlas.ids
+    reluctance = np.where(loop.kept[ids], loop.options.hysteresis, 1.0)
+    savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.bytes_of, reluctance)
+    unseen = unseen_share(measured.met, measured.feedback.paths)
+    known = any(hits.lamps_known for hits in loop.scene.first_hits.values())
+    base = Base(measured.log, measured.weights.total.astype(np.float64) * measured.weights.unit if known else None)
+    log, trial = measured.log.copy(), PathLog.zeros(*measured.log.luminance.shape)
+    loop.timer.add("feedback_s", start)
+
+    def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
+        keep = np.zeros(len(loop.active), bool)
+        keep[ids[~cull]] = True
+        loop.trace_without(measured.tlas, measured.first_sample, keep, only, trial)
+        return trial
+
+    before = None if loop.known is None else loop.known[ids] & ~loop.kept[ids]
+    worth = np.where(loop.pinned[ids, None], np.inf, measured.weights.relative())
+    search = Search(base, log, without, worth, savings, budget, unseen, before, loop.options.hysteresis)
+    return search, search.run(progress)

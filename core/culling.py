@@ -84,6 +84,11 @@ class CullOptions:
         width, height = self.picture_size(film)
         return int(np.clip(np.ceil(TILE_PATHS * TILES / (max(self.max_error.worst, 1e-3) * width * height)), 1, MOST_PATHS))
 
+    def first_paths_per_pixel(self, film: Film) -> int:
+        """Paths per pixel of a first measurement, which may be enough: half of all, unless so many were asked for."""
+        samples = self.paths_per_pixel(film)
+        return samples if self.paths or self.min_share is not None else -(-samples // 2)
+
     def __post_init__(self) -> None:
         if self.policy not in POLICIES:
             raise InputError(f"unknown culling policy '{self.policy}': choose one of {', '.join(POLICIES)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import mmap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,10 @@ class Weights:
         ambient = max(ambient, 1e-30)
         return Weights(np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED)
 
+    def joined(self, more: Weights) -> Weights:
+        """With what more paths gathered, in the same unit."""
+        return replace(self, light=self.light + more.light, total=self.total + more.total)
+
     def relative(self) -> F64:
         """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64.
 
@@ -74,3 +78,10 @@ class Feedback:
         if boxes is None:
             return Feedback(hits, np.zeros((0, RAY_TYPES), np.int64), np.uint64(0), weights=weights)
         return Feedback(hits, boxes.counters, boxes.handle, weights=weights)
+
+    def joined(self, more: Feedback) -> Feedback:
+        """With the counts of more paths, which must have been counted without hitboxes, as these."""
+        rows = np.flatnonzero(more.hits.any(axis=1))
+        hits = self.hits.copy()
+        hits[rows] += more.hits[rows]
+        return replace(self, hits=hits, paths=self.paths + more.paths)

@@ -91,6 +91,12 @@ class Measurement:
             out[rows] = hits[rows].sum(axis=1)
         return out
 
+    def joined(self, more: Measurement) -> Measurement:
+        """With more paths of the same candidates, whose samples follow on these."""
+        return dataclasses.replace(
+            self, feedback=self.feedback.joined(more.feedback), weights=self.weights.joined(more.weights), log=self.log.joined(more.log)
+        )
+
 
 class Loop:
     """The loop over a scene, and on to its next frames: what exists between rounds.
@@ -152,6 +158,7 @@ class Loop:
         self._asked: tuple[Cut, I64] | None = None  # boxes of the last round, and how often they were crossed
         self.size = self.options.picture_size(scene.film)
         self.samples = self.options.paths_per_pixel(scene.film)
+        self.first_samples = self.options.first_paths_per_pixel(scene.film)
         self.next_sample = self.samples  # a measurement has the first ones, in every frame the same: what did not change measures the same
 
     def _pin(self, pinned: np.ndarray | None) -> None:
@@ -270,17 +277,24 @@ class Loop:
         return feedback, picture.mean
 
     def measure(self, tlas: Tlas | None = None, progress: Progress = silent) -> Measurement:
-        """Hits and weights of the instances in tlas (default: the active ones), by the number of paths per pixel that the options ask for.
+        """Hits and weights of the instances in tlas (default: the active ones), by as many paths per pixel as a first measurement takes.
 
         Emitters that are not built give no light: it would come through walls that are not built either.
         """
-        tlas = self.build(self.active, progress) if tlas is None else tlas
+        return self._measured(self.build(self.active, progress) if tlas is None else tlas, 0, self.first_samples, progress)
+
+    def measure_on(self, measured: Measurement, progress: Progress = silent) -> Measurement:
+        """A measurement, with the rest of the paths per pixel that the options ask for: what one of them all would be."""
+        done = measured.log.luminance.shape[2]
+        return measured.joined(self._measured(measured.tlas, done, self.samples - done, progress))
+
+    def _measured(self, tlas: Tlas, first_sample: int, samples: int, progress: Progress) -> Measurement:
         built = np.zeros(len(self.active), bool)
         built[tlas.ids] = True
         weights = Weights.zeros(len(tlas), self.ambient)
-        log = PathLog.zeros(self.size[1], self.size[0], self.samples)
-        feedback, _ = self._counted(self._dark_but(built), tlas, self.samples, 0, None, weights, progress, self.size, log)
-        return Measurement(tlas, feedback, weights, log, 0, self.prepared.emissive)
+        log = PathLog.zeros(self.size[1], self.size[0], samples)
+        feedback, _ = self._counted(self._dark_but(built), tlas, samples, first_sample, None, weights, progress, self.size, log)
+        return Measurement(tlas, feedback, weights, log, first_sample, self.prepared.emissive)
 
     def trace_again(self, keep: np.ndarray, first_sample: int, samples: int, progress: Progress = silent) -> F32:
         """The mean picture with only keep (N,) bool in the scene, by the same random numbers as a trace that began at first_sample.

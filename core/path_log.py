@@ -32,6 +32,10 @@ class PathLog:
         """One of its own."""
         return PathLog(self.records.copy(), self.luminance.copy())
 
+    def joined(self, more: PathLog) -> PathLog:
+        """With the samples of another log behind these."""
+        return PathLog(np.concatenate([self.records, more.records], axis=2), np.concatenate([self.luminance, more.luminance], axis=2))
+
     def update(self, only: NDArray[np.uint8], other: PathLog) -> None:
         """Take the paths that only, (H, W, S), marks from another log."""
         marked = only != 0

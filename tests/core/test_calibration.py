@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
+from lipac.core import analysis
 from lipac.core.budget import Budget, Savings
 from lipac.core.calibration import CONFIDENCE, Base, Search
 from lipac.core.culling import CullOptions
@@ -202,3 +203,40 @@ def test_a_budget_of_nothing_culls_what_no_path_met() -> None:
     worth = np.vstack([np.full((4, TILES), 1e-3), np.zeros((1, TILES))])  # the fifth is met by no path
     chosen = Search(Base(world.log), world.log.copy(), world.without, worth, Savings.among(np.zeros(5, np.int32), np.array([100])), Budget(0.0, 0.0)).run()
     assert chosen.cull.tolist() == [False, False, False, False, True]
+
+
+def test_a_measurement_in_two_parts_is_one_of_all_paths() -> None:
+    """Counts, fixed-point sums and logs, bit for bit."""
+    options = CullOptions(width=96, max_error=Budget(0.02, 0.1))
+    loop = Loop(stage(), options)
+    loop.run()
+    first = loop.measured
+    assert first is not None
+    assert first.log.luminance.shape[2] == loop.first_samples < loop.samples
+    both = loop.measure_on(first)
+    loop.first_samples = loop.samples
+    at_once = loop.measure(first.tlas)
+    assert both.feedback.paths == at_once.feedback.paths == both.log.luminance.size
+    for a, b in (
+        (both.feedback.hits, at_once.feedback.hits),
+        (both.weights.light, at_once.weights.light),
+        (both.weights.total, at_once.weights.total),
+        (both.log.records, at_once.log.records),
+        (both.log.luminance, at_once.log.luminance),
+    ):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_more_paths_are_measured_where_more_than_a_little_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the measurement says what the whole scene shows, whatever has been culled since."""
+    options = CullOptions(width=96, max_error=Budget(0.02, 0.1))
+    for share, refined in ((0.0, True), (1.0, False)):
+        monkeypatch.setattr(analysis, "REFINED", share)
+        loop = Loop(stage(), options)
+        analysis.decide(loop)
+        assert loop.measured is not None
+        assert loop.measured.log.luminance.shape[2] == (loop.samples if refined else loop.first_samples)
+        again = Loop(stage(), options)
+        again.run()
+        assert again.measured is not None
+        np.testing.assert_array_equal(loop.measured.log.luminance[..., : loop.first_samples], again.measured.log.luminance)
