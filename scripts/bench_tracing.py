@@ -329,6 +329,7 @@ def feedback(_folder: Path) -> dict[str, Any]:
     from ..core.tracer import trace
 
     loop = Loop(_city(20_000), CullOptions())
+    loop.first_samples = loop.samples  # all that it may take
     loop.run()
     tlas = loop.build(loop.active)
     measured = loop.measure(tlas)
