@@ -1,6 +1,6 @@
 # make install   .venv with the `lipac` command
 # make demo      build the demo scene, cull it, render it full and culled: out/demo
-# make results   docs/results.md: cost against error of every policy on every scene (an hour)
+# make results   docs/results.md: cost against error of every policy on every scene (some hours)
 # make accuracy  docs/accuracy.md: every hard case, measured (minutes)
 # make animation docs/animation.md: animated scenes, measured (half an hour; single parts: lipac bench --only PART)
 # make test      ruff, mypy, every test
@@ -18,7 +18,7 @@ demo: install
 results: install
 	$(BIN)/python -m lipac.scripts.hybrid_results -o docs/results
 	$(BIN)/python -m lipac.scripts.hybrid_pop -o docs/results
-	$(BIN)/lipac evaluate --all -o docs/results --budget-check 5 --ray-budget
+	$(BIN)/lipac evaluate --all -o docs/results --samples 64 --budget-check 20 --ray-budget
 accuracy: $(VENV)/.installed-test
 	$(BIN)/python -m lipac.scripts.accuracy
 animation: install
