@@ -121,6 +121,7 @@ class Loop:
         self.active, self.kept, self.value = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, np.float32)
         self.known: np.ndarray | None = None
         self.cold = True  # nothing is known yet of what paths need
+        self.thorough = False  # whether measurements take all paths at once, as a frame before needed them
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         self._shown = np.zeros(0, np.int32)  # large instances in view
         self._enter(scene, cancelled)
@@ -158,7 +159,7 @@ class Loop:
         self._asked: tuple[Cut, I64] | None = None  # boxes of the last round, and how often they were crossed
         self.size = self.options.picture_size(scene.film)
         self.samples = self.options.paths_per_pixel(scene.film)
-        self.first_samples = self.options.first_paths_per_pixel(scene.film)
+        self.first_samples = self.samples if self.thorough else self.options.first_paths_per_pixel(scene.film)
         self.next_sample = self.samples  # a measurement has the first ones, in every frame the same: what did not change measures the same
 
     def _pin(self, pinned: np.ndarray | None) -> None:
@@ -286,6 +287,7 @@ class Loop:
     def measure_on(self, measured: Measurement, progress: Progress = silent) -> Measurement:
         """A measurement, with the rest of the paths per pixel that the options ask for: what one of them all would be."""
         done = measured.log.luminance.shape[2]
+        self.thorough = True
         return measured.joined(self._measured(measured.tlas, done, self.samples - done, progress))
 
     def _measured(self, tlas: Tlas, first_sample: int, samples: int, progress: Progress) -> Measurement:

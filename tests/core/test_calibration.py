@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from lipac.core import analysis
 from lipac.core.budget import Budget, Savings
 from lipac.core.calibration import CONFIDENCE, Base, Search
+from lipac.core.change import Change
 from lipac.core.culling import CullOptions
+from lipac.core.frames import Shot
 from lipac.core.loop import Loop, Measurement
 from lipac.core.path_log import RECORD, PathLog
 from lipac.core.tiles import COLUMNS, ROWS, TILES
@@ -240,3 +243,22 @@ def test_more_paths_are_measured_where_more_than_a_little_stays(monkeypatch: pyt
         again.run()
         assert again.measured is not None
         np.testing.assert_array_equal(loop.measured.log.luminance[..., : loop.first_samples], again.measured.log.luminance)
+
+
+def test_a_frame_after_one_that_needed_all_paths_measures_them_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(analysis, "REFINED", 0.0)
+    searches: list[int] = []
+    run = Search.run
+
+    def counted(self: Search, *args: Any) -> Any:
+        searches.append(self.log.luminance.shape[2])
+        return run(self, *args)
+
+    monkeypatch.setattr(Search, "run", counted)
+    shot, scene = Shot(CullOptions(width=96, max_error=Budget(0.02, 0.1))), stage()
+    shot.advance(scene)
+    assert shot.loop is not None
+    some, every = shot.loop.options.first_paths_per_pixel(scene.film), shot.loop.samples
+    assert searches == [some, every]
+    shot.advance(scene, Change(None, None, np.zeros(0, np.int32), np.zeros(0, np.int32), False, False))
+    assert searches == [some, every, every]
