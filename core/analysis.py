@@ -10,7 +10,7 @@ import numpy as np
 from .budget import Budget, Savings, unseen_share
 from .calibration import Base, Choice, Search
 from .culling import CullOptions, heuristic
-from .loop import CullingResult, Loop
+from .loop import CullingResult, Loop, Measurement
 from .path_log import PathLog
 from .progress import Progress, part, silent
 from .scene import RAY_TYPES, Scene
@@ -69,14 +69,14 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that uses up the budget or all but a factor of
     options.hysteresis; else what it kept goes only where others would save so many times less for the same change.
     """
-    search, chosen = _searched(loop, budget, part(progress, 0.0, 0.4))
-    paths = search.traced
-    measured = loop.measured
-    assert measured is not None
-    if measured.log.luminance.shape[2] < loop.samples and np.count_nonzero(~chosen.cull) > REFINED * np.count_nonzero(loop.exists):
+    little = REFINED * np.count_nonzero(loop.exists)
+    measured = loop.measured = loop.measured or loop.measure()
+    chosen, unseen, paths = _searched(loop, measured, budget, part(progress, 0.0, 0.4))
+    if measured.log.luminance.shape[2] < loop.samples and np.count_nonzero(~chosen.cull) > little:
         measured = loop.measured = loop.measure_on(measured, part(progress, 0.4, 0.7))
-        search, chosen = _searched(loop, budget, part(progress, 0.7, 1.0))
-        paths += search.traced
+        chosen, unseen, more = _searched(loop, measured, budget, part(progress, 0.7, 1.0))
+        paths += more
+    loop.thorough = bool(np.count_nonzero(~chosen.cull) > little)
     ids, worth = measured.tlas.ids, measured.weights.relative()
     keep = loop.pinned.copy()
     keep[ids[~chosen.cull]] = True
@@ -84,7 +84,7 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     score[ids] = worth.mean(axis=1)
     predicted = worth[chosen.cull].sum(axis=0)
     error = {
-        "predicted_mean": float(predicted.mean()) + search.unseen,
+        "predicted_mean": float(predicted.mean()) + unseen,
         "predicted_worst": float(predicted.max()),
         "calibrated_mean": chosen.trial.mean,
         "calibrated_worst": chosen.trial.worst,
@@ -93,9 +93,8 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     return loop.result(keep, score, measured.feedback.hits, **error)
 
 
-def _searched(loop: Loop, budget: Budget, progress: Progress) -> tuple[Search, Choice]:
-    """The search among what is measured, and what it chose."""
-    measured = loop.measured = loop.measured or loop.measure()
+def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progress) -> tuple[Choice, float, int]:
+    """What a search among the measured instances chose, the change that is owed to what no path met, and how many paths were traced."""
     start = time.perf_counter()
     ids = measured.tlas.ids
     reluctance = np.where(loop.kept[ids], loop.options.hysteresis, 1.0)
@@ -115,4 +114,4 @@ def _searched(loop: Loop, budget: Budget, progress: Progress) -> tuple[Search, C
     before = None if loop.known is None else loop.known[ids] & ~loop.kept[ids]
     worth = np.where(loop.pinned[ids, None], np.inf, measured.weights.relative())
     search = Search(base, log, without, worth, savings, budget, unseen, before, loop.options.hysteresis)
-    return search, search.run(progress)
+    return search.run(progress), search.unseen, search.traced

@@ -135,8 +135,8 @@ class Search:
 
     def run(self, progress: Progress = silent) -> Choice:
         """The largest set found. Beginning with what no path meets, more and more is culled: what is predicted to fit the rest of the budget."""
-        best, share, failed = self._first(), 1.0, 0
-        if self.before is not None and self.hysteresis * self._excess(best) >= 1:
+        (best, again), share, failed = self._first(), 1.0, 0
+        if again and self.hysteresis * self._excess(best) >= 1:
             return best
         tried = {best.cull.tobytes()}
         for k in range(TRIALS):
@@ -152,13 +152,17 @@ class Search:
                 best, share, failed = choice, min(2 * share, 1.0), 0
         return best
 
-    def _first(self) -> Choice:
-        """What was culled in the last frame, and what is worth nothing, which no path met; that alone where the whole breaks the budget, or nothing at all."""
+    def _first(self) -> tuple[Choice, bool]:
+        """What was culled in the last frame, and what is worth nothing, which no path met; that alone where the whole breaks the budget, or nothing at all.
+
+        Whether it is the first of these.
+        """
         nothing, unmet = Choice(np.zeros(len(self.worth), bool), self.base.nothing()), self.worth.sum(axis=1) == 0
-        choice = None
         if self.before is not None:
             choice = self._try((self.before | unmet) & np.isfinite(self.worth).all(axis=1), nothing)
-        return choice or self._try(unmet, nothing) or nothing
+            if choice is not None:
+                return choice, True
+        return self._try(unmet, nothing) or nothing, False
 
     def _more(self, best: Choice, share: float, tried: set[bytes]) -> np.ndarray | None:
         """A larger set to cull, (A,) bool, within a share of what one leaves of the budget; None where nothing is left to try."""

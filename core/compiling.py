@@ -58,7 +58,7 @@ def start_worker() -> subprocess.Popen[bytes] | None:
     try:
         worker = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, creationflags=hidden)
         assert worker.stdin is not None
-        given = {"path": sys.path, "root": _ROOT, "folder": str(Path(__file__).parent.parent)}
+        given = {"path": [entry for entry in sys.path if isinstance(entry, str)], "root": _ROOT, "folder": str(Path(__file__).parent.parent)}
         worker.stdin.write(json.dumps(given).encode() + b"\n")
         worker.stdin.flush()
     except OSError:

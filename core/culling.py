@@ -87,7 +87,16 @@ class CullOptions:
     def first_paths_per_pixel(self, film: Film) -> int:
         """Paths per pixel of a first measurement, which may be enough: half of all, unless so many were asked for."""
         samples = self.paths_per_pixel(film)
-        return samples if self.paths or self.min_share is not None else -(-samples // 2)
+        return samples if self._all_at_once else -(-samples // 2)
+
+    def round_paths_per_pixel(self, film: Film) -> int:
+        """Paths per pixel of a round at full size that comes before: half of a first measurement's."""
+        samples = self.paths_per_pixel(film)
+        return max(1, samples // (2 if self._all_at_once else 4))
+
+    @property
+    def _all_at_once(self) -> bool:
+        return bool(self.paths) or self.min_share is not None
 
     def __post_init__(self) -> None:
         if self.policy not in POLICIES:

@@ -20,7 +20,12 @@ def sparse_zeros(shape: tuple[int, int]) -> I64:
     """int64 zeros of which few are ever touched: memory by pages of 4 kB, where NumPy asks the system for pages of 2 MB, so that hits on a few hundred of a
     million instances would take, and clear, all 40 MB, in every round."""
     size = shape[0] * shape[1]
-    return np.frombuffer(mmap.mmap(-1, max(8 * size, 1)), np.int64, size).reshape(shape)
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):  # private: what is only read takes nothing either
+        memory = mmap.mmap(-1, max(8 * size, 1), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        memory.madvise(mmap.MADV_NOHUGEPAGE)
+    else:
+        memory = mmap.mmap(-1, max(8 * size, 1))
+    return np.frombuffer(memory, np.int64, size).reshape(shape)
 
 
 @dataclass(frozen=True)
@@ -80,8 +85,9 @@ class Feedback:
         return Feedback(hits, boxes.counters, boxes.handle, weights=weights)
 
     def joined(self, more: Feedback) -> Feedback:
-        """With the counts of more paths, which must have been counted without hitboxes, as these."""
-        rows = np.flatnonzero(more.hits.any(axis=1))
-        hits = self.hits.copy()
-        hits[rows] += more.hits[rows]
-        return replace(self, hits=hits, paths=self.paths + more.paths)
+        """With the counts of more paths; both without hitboxes. Weights are joined for themselves."""
+        hits = sparse_zeros(self.hits.shape)
+        for part in (self, more):
+            rows = np.flatnonzero(part.hits.any(axis=1))
+            hits[rows] += part.hits[rows]
+        return replace(self, hits=hits, paths=self.paths + more.paths, weights=None)

@@ -36,7 +36,6 @@ COLD_HITS = 7  # segments of one round that must cross a box before it is opened
 SETTLED = 0.02  # segments per path that still ask for a box when coarse rounds end
 UNKNOWN = 0.2  # segments per path that ask for a box where coarse rounds are worth while
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
-FINE = 4  # rounds that follow the coarse ones trace so many times fewer paths than the measurement
 GROWTH = 1.05  # per round, of what an instance is worth that waits for its BLAS
 LARGE = 0.05  # of the picture's width: what comes into view this large is activated before it is asked for
 
@@ -121,7 +120,7 @@ class Loop:
         self.active, self.kept, self.value = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, np.float32)
         self.known: np.ndarray | None = None
         self.cold = True  # nothing is known yet of what paths need
-        self.thorough = False  # whether measurements take all paths at once, as a frame before needed them
+        self.thorough = False  # whether a measurement takes all paths at once, as the last frame needed them
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         self._shown = np.zeros(0, np.int32)  # large instances in view
         self._enter(scene, cancelled)
@@ -287,7 +286,6 @@ class Loop:
     def measure_on(self, measured: Measurement, progress: Progress = silent) -> Measurement:
         """A measurement, with the rest of the paths per pixel that the options ask for: what one of them all would be."""
         done = measured.log.luminance.shape[2]
-        self.thorough = True
         return measured.joined(self._measured(measured.tlas, done, self.samples - done, progress))
 
     def _measured(self, tlas: Tlas, first_sample: int, samples: int, progress: Progress) -> Measurement:
@@ -404,7 +402,7 @@ class Loop:
                 self.ambient = _mean_luminance(picture)
                 coarse = self._ask(cut, feedback) > max(self.options.settled, SETTLED)
             else:
-                feedback, picture = self.trace(tlas, max(1, self.samples // FINE), boxes)
+                feedback, picture = self.trace(tlas, self.options.round_paths_per_pixel(self.scene.film), boxes)
                 self.ambient = _mean_luminance(picture)
                 asked = self._ask(cut, feedback)
                 self._light_up(cut, feedback)

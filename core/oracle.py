@@ -20,6 +20,7 @@ from .path_log import PathLog
 from .progress import Progress, part, silent
 from .scene import F64, I32
 
+SHARES = (1.0, 0.9, 0.8, 0.6, 0.4)  # of the mean's bound that are tried
 PATHS = 4.0  # traced by a search at most, to those of the judge
 
 
@@ -47,7 +48,12 @@ def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterab
         return trial
 
     def thinned_out(first: np.ndarray | None, progress: Progress) -> np.ndarray:
-        return kept(Search(judge.base, judge.log.copy(), without, worth, savings, budget, before=first, paths=PATHS).run(progress).cull)
+        for share in SHARES:  # a search adds the confidence of its measurement to the tiles alone, not to their mean
+            within = Budget(share * budget.mean, budget.worst)
+            keep = kept(Search(judge.base, judge.log.copy(), without, worth, savings, within, before=first, paths=PATHS).run(progress).cull)
+            if judge.change(keep).surely_holds(budget):
+                return keep
+        return kept(np.zeros(len(ids), bool))
 
     cheapest = sorted(proposals, key=lambda keep: retained(judge, keep))
     proposed = next((keep for keep in cheapest if judge.change(keep).surely_holds(budget)), None)

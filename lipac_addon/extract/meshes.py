@@ -1,7 +1,7 @@
 """Evaluated meshes: bounds at once, triangles on demand.
 
 A mesh is held as the `GeometrySet` that Blender's Python gives out: it owns its data (shared, not copied, with the evaluated object while that lives), so it
-can be read after the dependency graph is gone. Nothing else of Blender is kept.
+can be read after the dependency graph is gone. Of scatters, too, nothing but the GeometrySet is kept, whose matrices are read in place.
 """
 
 from __future__ import annotations

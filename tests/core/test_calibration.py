@@ -262,3 +262,20 @@ def test_a_frame_after_one_that_needed_all_paths_measures_them_at_once(monkeypat
     assert searches == [some, every]
     shot.advance(scene, Change(None, None, np.zeros(0, np.int32), np.zeros(0, np.int32), False, False))
     assert searches == [some, every, every]
+
+
+def test_where_the_last_set_breaks_the_budget_another_is_searched_for() -> None:
+    """Also where what is owed to the unseen uses up half of the budget as soon as anything changes at all."""
+    world = Additive(10)
+    savings, worth = Savings.among(np.arange(10, dtype=np.int32), np.full(10, 1000)), np.full((10, TILES), 1e-4)
+    worth[0] = 0.0  # predicted to be worth nothing, though paths meet it
+    budget, before = Budget(0.012, 0.3), np.arange(10) > 0
+
+    def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
+        hidden = np.where(world.log.records[..., 1] == 0, np.float32(1 - 1e-6), np.float32(0.9))
+        return PathLog(world.log.records, np.where(only == 1, hidden, world.log.luminance))
+
+    def chosen(**more: Any) -> np.ndarray:
+        return Search(Base(world.log), world.log.copy(), without, worth, savings, budget, unseen=0.02, **more).run().cull
+
+    assert chosen(before=before, hysteresis=2.0).sum() == chosen().sum() > 1

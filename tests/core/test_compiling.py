@@ -45,6 +45,7 @@ def _compiled(cache: Path) -> list[str]:
 
 def test_what_the_worker_compiled_is_loaded_and_nothing_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(sys, "path", [*sys.path, Path("of an add-on")])  # importing leaves these out
     worker = compiling.start_worker()
     assert worker is not None
     assert worker.wait() == 0

@@ -89,7 +89,7 @@ def test_cost_counts_a_shared_mesh_once(judge: Judge) -> None:
 def test_oracle_keeps_the_budget_and_no_more_than_a_proposal(judge: Judge) -> None:
     worth, ids = judge.exhaustive_weights(16)
     proposal = without(HIDDEN)
-    for budget in (Budget(0.0, 0.0), Budget(0.005, 0.025), Budget(0.5, 1.0)):
+    for budget in (Budget(0.0, 0.0), Budget(0.005, 0.025), Budget(0.0002, 1.0), Budget(0.005, 1.0), Budget(0.5, 1.0)):
         keep = search(judge, worth, ids, budget, [proposal])
         assert judge.change(keep).surely_holds(budget)
         assert retained(judge, keep) <= retained(judge, proposal)

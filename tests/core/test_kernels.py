@@ -45,7 +45,7 @@ def test_kernels_are_loaded_ahead_where_they_are_compiled(cold, tmp_path, monkey
 
 def test_the_loaded_kernel_is_the_one_that_tracing_calls():
     scene = scenes.build([scenes.cube()], [(0, scenes.placed((0, 3, 0)), 0)], [s.default_material()])
-    analyze(scene, CullOptions(policy="none"))
+    assert analyze(scene, CullOptions(width=16, paths=1)).stats["rays"] > 0
     assert trace_tile.signatures == [TYPES]
 
 
