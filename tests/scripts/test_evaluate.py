@@ -16,7 +16,7 @@ from lipac.scripts import lipac
 def test_evaluate_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"PATHS": (1, 2), "EVERY": (4,), "LADDER": 3, "REFINEMENTS": 1, "SHARES": (1e-4, 1e-2)}.items():
         monkeypatch.setattr(evaluate, name, value)  # fewer rows of each kind
-    monkeypatch.setattr(oracle, "TRIALS", 2)
+    monkeypatch.setattr(oracle, "SHARES", (1.0,))
     scene, out = tmp_path / "city.blend", tmp_path / "out"
     assert lipac.main(["demo", "mirror-city", "-o", str(scene), "--instances", "1000", "--quiet"]) == 0
     capfd.readouterr()
