@@ -98,7 +98,7 @@ def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     start = time.perf_counter()
     ids = measured.tlas.ids
     reluctance = np.where(loop.kept[ids], loop.options.hysteresis, 1.0)
-    savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.bytes_of, reluctance)
+    savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.counted_bytes, reluctance)
     unseen = unseen_share(measured.met, measured.feedback.paths)
     known = any(hits.lamps_known for hits in loop.scene.first_hits.values())
     base = Base(measured.log, measured.weights.total.astype(np.float64) * measured.weights.unit if known else None)

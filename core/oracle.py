@@ -27,7 +27,7 @@ PATHS = 4.0  # traced by a search at most, to those of the judge
 def retained(judge: Judge, keep: np.ndarray) -> float:
     """Bytes that keep (N,) bool takes: its BLASes, each once, and its TLAS entries."""
     mesh = judge.scene.instances.mesh
-    return float(judge.loop.blas.bytes_of[np.unique(mesh[keep])].sum() + ENTRY_BYTES * keep.sum())
+    return float(judge.loop.blas.counted_bytes[np.unique(mesh[keep])].sum() + ENTRY_BYTES * keep.sum())
 
 
 def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterable[np.ndarray] = (), progress: Progress = silent) -> np.ndarray:
@@ -36,7 +36,7 @@ def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterab
     worth (A, T), ids (A,): `Judge.exhaustive_weights`. proposals: sets (N,) bool to start from too.
     """
     trial = PathLog.zeros(*judge.log.luminance.shape)
-    savings = Savings.among(judge.scene.instances.mesh[ids], judge.loop.blas.bytes_of)
+    savings = Savings.among(judge.scene.instances.mesh[ids], judge.loop.blas.counted_bytes)
 
     def kept(cull: np.ndarray) -> np.ndarray:
         keep = np.zeros(len(judge.scene.instances), bool)

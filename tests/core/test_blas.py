@@ -6,9 +6,12 @@ import gc
 import time
 
 import numpy as np
+import pytest
 
 from lipac.core import scene as s
+from lipac.core.analysis import analyze
 from lipac.core.blas import LOOKS, BlasCache
+from lipac.core.culling import CullOptions
 from lipac.core.embree import Device
 from lipac.core.tlas import Tlas
 
@@ -182,3 +185,27 @@ def test_the_least_valuable_go_first_where_bytes_are_short() -> None:
             assert cache.bytes <= limit
         assert np.flatnonzero(cache.scenes).tolist() == sorted(order[:3].tolist())
     assert meshes.reads.max() <= 2  # what does not fit is not built again and again
+
+
+def test_what_embree_measures_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Embree's bytes vary where threads share a build: with bytes that are twice as many or half as many at random, the same instances stay."""
+    rng = np.random.default_rng(1)
+    meshes = [scenes.quad(), *(scenes.sphere(rings) for rings in range(4, 16))]
+    places = [(int(rng.integers(1, 13)), scenes.placed((*rng.uniform(-3, 3, 2), 0.1), 0.1), 0) for _ in range(300)]
+    scene = scenes.build(meshes, [(0, scenes.placed((0, 0, 0), 20.0), 0), *places], size=(96, 54))
+    options = CullOptions(width=96, paths=4)
+    states = [analyze(scene, options).state]
+    commit = Device.commit
+    for seed in range(3):
+        noise = np.random.default_rng(seed)
+        monkeypatch.setattr(Device, "commit", lambda *args, noise=noise: int(commit(*args) * noise.uniform(0.5, 2.0)))
+        states.append(analyze(scene, options).state)
+    assert 0 < np.count_nonzero(states[0]) < len(states[0])
+    assert all((state == states[0]).all() for state in states)
+
+
+def test_bytes_by_count_are_near_those_that_are_measured() -> None:
+    cache = BlasCache([scenes.sphere(rings) for rings in (4, 12, 40, 120)])
+    cache.need(np.array([1, 2, 3]))
+    assert cache.counted_bytes[0] == 0
+    np.testing.assert_allclose(cache.counted_bytes[1:], cache.bytes_of[1:], rtol=0.34)
