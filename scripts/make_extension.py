@@ -13,6 +13,8 @@ import zipfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from .lock import pins
+
 ROOT = Path(__file__).resolve().parent.parent
 MANIFEST = "blender_manifest.toml"
 LIBRARIES = ("numba", "llvmlite", "embreex")
@@ -48,16 +50,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def download(platform: str, pythons: Iterable[str], folder: Path) -> list[Path]:
-    """Wheels of LIBRARIES for a platform, fetched by pip where they are not there. Sorted paths."""
+    """Wheels of LIBRARIES for a platform at the versions of the lock, fetched by pip where they are not there. Sorted paths."""
     found: list[Path] = []
     for python in pythons:
         place = folder / platform / f"cp{python}"
-        if not all(any(place.glob(f"{name}-*.whl")) for name in LIBRARIES):
+        locked = pins({"python_full_version": f"{python[0]}.{python[1:]}.0"})
+        wanted = {name: locked[name] for name in LIBRARIES}
+        if not all(any(place.glob(f"{name}-{version}-*.whl")) for name, version in wanted.items()):
             names = [f"--platform={name}" for name in PLATFORMS[platform]]
             only = ["--no-deps", "--only-binary=:all:", f"--python-version={python}", "--implementation=cp", f"--abi=cp{python}"]
-            command = [sys.executable, "-m", "pip", "download", "-q", "--disable-pip-version-check", *only, *names, "-d", str(place), *LIBRARIES]
-            subprocess.run(command, check=True)
-        found += place.glob("*.whl")
+            command = [sys.executable, "-m", "pip", "download", "-q", "--disable-pip-version-check", *only, *names, "-d", str(place)]
+            subprocess.run([*command, *(f"{name}=={version}" for name, version in wanted.items())], check=True)
+        found += [next(place.glob(f"{name}-{version}-*.whl")) for name, version in wanted.items()]
     return sorted(found)
 
 

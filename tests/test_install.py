@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.utils import canonicalize_name
 
 import lipac
+from lipac.scripts.lock import LOCK, pins
 
 ROOT = Path(lipac.__file__).parent
 
@@ -33,3 +36,21 @@ def test_command_is_installed() -> None:
     assert done.returncode == 0, done.stderr
     for name in ("demo", "analyze", "render"):
         assert name in done.stdout
+
+
+def test_what_is_installed_is_what_the_lock_says() -> None:
+    prefix = Path(sys.prefix)
+    if not (prefix / ".installed-test").exists() or (prefix / ".another-blender").exists():
+        pytest.skip("not installed by make, or with a Blender on purpose that the lock does not name")
+    installed = {canonicalize_name(d.name): d.version for d in metadata.distributions()}
+    assert {name: version for name, version in installed.items() if name not in ("lipac", "pip")} == pins()
+
+
+def test_the_lock_is_one_for_every_python_and_names_no_place() -> None:
+    assert pins({"python_full_version": "3.11.9"})["bpy"].startswith("5.0.")
+    assert pins({"python_full_version": "3.13.0"})["bpy"].startswith("5.2.")
+    assert "colorama" in pins({"sys_platform": "win32"}), "the lock lacks what only other platforms need"
+    for path in LOCK.parent.glob("requirements*.txt"):
+        assert not re.search(r"://|--(index|extra|find)|@ ", path.read_text()), path
+        tested = LOCK.read_text()
+        assert all(pin in tested for pin in re.findall(r"^[\w.-]+==\S+", path.read_text(), re.MULTILINE)), "the two locks differ: make lock"
