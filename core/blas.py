@@ -141,7 +141,7 @@ class BlasCache:
 
     @property
     def counted_bytes(self) -> I64:
-        """(M,) int64 bytes of each BLAS by its number of triangles, 0 where there is none. For decisions: these must not depend on how threads share a build."""
+        """(M,) int64 bytes of each BLAS by its number of triangles, 0 where there is none. For decisions: these must not depend on threads."""
         return np.where(self.scenes != 0, BLAS_BYTES + TRIANGLE_BYTES * self.table["triangle_count"], 0)
 
     def __len__(self) -> int:

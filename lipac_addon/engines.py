@@ -19,7 +19,7 @@ from ..core.errors import Cancelled, InputError
 from ..core.progress import Progress, silent
 from ..core.scene import Scene
 from .console import muted
-from .extract.depsgraph import changed
+from .extract.depsgraph import changed, rendered_layers
 from .pictures import save_pixels, save_render_result
 
 BLENDER_ENGINES = {"cycles": "CYCLES", "eevee": "BLENDER_EEVEE"}
@@ -40,9 +40,15 @@ def left_out(scene: bpy.types.Scene, engine: str) -> list[str]:
     out, render = [], scene.render
     if render.use_border and engine:
         out.append("render region: the whole picture is rendered")
+    if render.use_multiview and engine:
+        out.append("stereo: one view is rendered, by the camera itself")
+    if render.use_freestyle and engine in BLENDER_ENGINES:
+        out.append("Freestyle: lines of what is culled are not drawn")
     if engine in ("hybrid", "path"):
-        if len(used := [v.name for v in scene.view_layers if v.use]) > 1:
+        if len(used := rendered_layers(scene)) > 1:
             out.append(f"view layers: '{used[0]}' alone is rendered, of {len(used)}")
+        if render.use_freestyle:
+            out.append("Freestyle: no lines are drawn")
         if render.use_motion_blur:
             out.append("motion blur: pictures are of one moment")
         if render.use_compositing and scene.compositing_node_group is not None:

@@ -6,6 +6,7 @@ import json
 import math
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,7 @@ def open_scene(path: Path) -> None:
     suffix = path.suffix.lower()
     if suffix == ".blend":
         _call(bpy.ops.wm.open_mainfile, path, load_ui=False, use_scripts=False)
+        leave_modes()
     elif suffix in IMPORTERS:
         _check_gltf(path)
         bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -54,6 +56,13 @@ def open_scene(path: Path) -> None:
         _complete(bpy.context.scene)
     else:
         raise InputError(f"{path}: cannot read '{suffix or path.name}' files; use .blend, {', '.join(IMPORTERS)}")
+
+
+def leave_modes() -> None:
+    """Back to Object Mode, with whatever was being edited or sculpted when the file was saved: it is rendered just so, and its faces can be read."""
+    for ob in [ob for ob in bpy.data.objects if ob.mode != "OBJECT"]:
+        with muted(), suppress(RuntimeError), bpy.context.temp_override(active_object=ob, object=ob):  # what cannot leave is named by the extraction
+            bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def use_camera(scene: bpy.types.Scene, name: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.report import replacing
 from ..core.scene import F32
-from .extract.depsgraph import changed
+from .extract.depsgraph import changed, render_result
 
 _FORMATS = {
     ".exr": {"file_format": "OPEN_EXR", "color_depth": "32", "exr_codec": "ZIP"},
@@ -22,8 +22,11 @@ _FORMATS = {
 
 
 def save_render_result(scene: bpy.types.Scene, stem: Path) -> None:
-    """Save what was rendered last as stem.exr and stem.png."""
-    _save(bpy.data.images["Render Result"], scene, stem)
+    """Save what was rendered last as stem.exr and stem.png. Raises InputError where nothing was."""
+    image = render_result()
+    if image is None:
+        raise InputError(f"scene {scene.name!r}: nothing was rendered")
+    _save(image, scene, stem)
 
 
 def save_pixels(pixels: F32, scene: bpy.types.Scene, stem: Path) -> None:

@@ -240,7 +240,7 @@ def do_frames(
         from ..lipac_addon.baked import check_target
         from ..lipac_addon.engines import BLENDER_ENGINES
         from ..lipac_addon.hybrid import HybridOptions
-        from ..lipac_addon.open import AUTO, missing_libraries, open_scene, use_camera
+        from ..lipac_addon.open import AUTO, leave_modes, missing_libraries, open_scene, use_camera
         from ..lipac_addon.pipeline import Job, run
 
         gc.freeze()  # what is loaded by now stays: who collects garbage need not look through it
@@ -248,6 +248,8 @@ def do_frames(
             load_ahead()
         if args.scene is not None:
             open_scene(args.scene)
+        else:
+            leave_modes()
         if save is not None:
             check_target(save)
         scene = bpy.context.scene

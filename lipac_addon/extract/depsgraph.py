@@ -16,6 +16,7 @@ from ...core.errors import InputError
 
 ENGINE = "LIPAC_EXTRACT"
 STAND_IN = ".lipac stand-in camera"
+OWN_SLOT = "LiPaC"
 T = TypeVar("T")
 
 
@@ -48,15 +49,54 @@ def _registered() -> Iterator[None]:
 
 @contextmanager
 def changed(target: Any, **values: Any) -> Iterator[None]:
-    """Sets properties of a Blender struct, and puts the old values back."""
+    """Sets properties of a Blender struct, and puts the old values back: all that can be, whatever becomes of one.
+
+    An enumeration may hold a value that it has no name for, as the colour mode of a film whose codec lacks it. It reads "" and cannot be written; Blender then
+    goes by what it was set to.
+    """
     old = {name: getattr(target, name) for name in values}
-    try:
+    with ExitStack() as stack:
+        for name in reversed(old):  # what is called back first was named first
+            if old[name] != "" or target.bl_rna.properties[name].type != "ENUM":
+                stack.callback(setattr, target, name, old[name])
         for name, value in values.items():
             setattr(target, name, value)
         yield
+
+
+def render_result() -> Any | None:
+    """The image of the latest render, whatever its name; None before the first."""
+    return next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
+
+
+@contextmanager
+def own_slot() -> Iterator[None]:
+    """Renders within the block leave the user's Render Result alone, which may not be saved yet: they go into a slot of ours, which stays for the next time.
+
+    Only for renders of the scene that the user renders, or such that follow on one in our slot: Blender moves the result of the slot that was rendered last
+    out of the way of a render of its own scene alone.
+    """
+    image = render_result()
+    if image is None:
+        yield
+        return
+    slots = image.render_slots
+    shown, names = slots.active_index, [slot.name for slot in slots]
+    if OWN_SLOT not in names:
+        slots.new(name=OWN_SLOT)
+        names.append(OWN_SLOT)
+    slots.active_index = names.index(OWN_SLOT)
+    try:
+        yield
     finally:
-        for name, value in old.items():
-            setattr(target, name, value)
+        slots.active_index = shown
+
+
+def rendered_layers(scene: Any) -> tuple[str, ...]:
+    """Names of the view layers that a render of a scene renders."""
+    if scene.render.use_single_layer and bpy.context.view_layer is not None and bpy.context.view_layer.id_data == scene:
+        return (str(bpy.context.view_layer.name),)
+    return tuple(layer.name for layer in scene.view_layers if layer.use)
 
 
 @contextmanager
@@ -91,14 +131,15 @@ def _some_camera(scene: Any) -> Iterator[None]:
 class RenderGraph:
     """The dependency graph of final renders of a scene, kept from frame to frame, so that Blender evaluates only what changes.
 
-    While it is held the scene's render engine and some of its render settings are ours; `release` puts them back, and Blender frees the graph. A render of
+    While it is held the scene's render engine and some of its render settings are ours (Freestyle is off: it ends the process where an engine draws nothing);
+    the user's Render Result is left alone; `release` puts them back, and Blender frees the graph. A render of
     another engine makes Blender free the graph, too: the next frame then gets a new one. No other render can be started inside a callback.
     """
 
     def __init__(self, scene: Any, view_layer: str | None = None) -> None:
         """scene: bpy.types.Scene. view_layer: name, None takes the first one that is used for rendering."""
         self.scene = scene
-        self.layer = view_layer or next((v.name for v in scene.view_layers if v.use), scene.view_layers[0].name)
+        self.layer = view_layer or next(iter(rendered_layers(scene)), scene.view_layers[0].name)
         self._held: ExitStack | None = None
 
     def evaluate(self, callback: Callable[[Any, bool], T], keep: bool = True) -> T:
@@ -127,7 +168,7 @@ class RenderGraph:
         with ExitStack() as stack:
             stack.enter_context(_registered())
             stack.enter_context(no_new_images())
-            ours = {"use_persistent_data": keep, "use_compositing": False, "use_sequencer": False, "use_multiview": False}
+            ours = {"use_persistent_data": keep, "use_compositing": False, "use_sequencer": False, "use_multiview": False, "use_freestyle": False}
             stack.enter_context(changed(render, engine=ENGINE, **ours))
             self._held = stack.pop_all()
 
@@ -141,7 +182,7 @@ class RenderGraph:
             except BaseException as error:  # Blender would print it and go on; it is raised again below
                 errors.append(error)
 
-        with _some_camera(self.scene):
+        with _some_camera(self.scene), own_slot():
             ExtractEngine.callback, ExtractEngine.owner = call, self
             try:
                 bpy.ops.render.render(layer=self.layer, scene=self.scene.name)

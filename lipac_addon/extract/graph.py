@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.errors import InputError
 from ...core.scene import F32, F64, InstanceFlag, RayType
 from ..keys import Kind
 from .lights import LampData, read_lamp
@@ -283,6 +284,8 @@ class GraphReader:
 
     def _read_geometry(self, node: Node, legacy: Kind | None, lines: dict[str, None], changed: bool) -> None:
         item = node.item
+        if item.type == "MESH" and item.data.is_editmode:  # Blender gives out no faces of it
+            raise InputError(f"object {item.name!r} is in Edit Mode: leave it first")
         data = item.data.as_pointer() if item.type == "MESH" else 0
         if data in self._keys and not len(item.modifiers) and legacy is None:
             key = self._keys[data]

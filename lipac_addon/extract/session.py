@@ -11,7 +11,7 @@ from ...core.errors import InputError
 from .camera import NO_CAMERA
 from .depsgraph import RenderGraph
 from .scene import Extraction, Frame, SceneReader
-from .world import ExtractedWorld, constant_world, extract_world, fingerprint
+from .world import ExtractedWorld, baked_world, constant_world, fingerprint
 
 
 class Extractor:
@@ -87,7 +87,8 @@ class Extractor:
     def _bake(self) -> ExtractedWorld:
         """The world of the current frame, rendered. Blender then frees the graph."""
         self.scene.frame_set(self.scene.frame_current)  # animated values get to the world that is rendered
-        return extract_world(self.scene, self.scene.view_layers[self._graph.layer])
+        layer = self.scene.view_layers[self._graph.layer]
+        return baked_world(getattr(layer, "world_override", None) or self.scene.world)
 
 
 def extract_frame(

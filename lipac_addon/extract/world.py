@@ -18,7 +18,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.scene import ALL_RAYS, F32, RayType, World
-from .depsgraph import changed, no_new_images
+from .depsgraph import changed, no_new_images, own_slot, render_result, with_render_depsgraph
 
 BAKE_HEIGHT = 512  # of worlds without an image
 MAX_HEIGHT = 2048
@@ -114,6 +114,13 @@ def extract_world(scene: Any, view_layer: Any = None) -> ExtractedWorld:
     constant = constant_world(world)
     if constant is not None:
         return constant
+    if render_result() is not None:
+        with_render_depsgraph(scene, None, lambda _: None)  # so that the bake is the second render in our slot
+    return baked_world(world)
+
+
+def baked_world(world: Any) -> ExtractedWorld:
+    """`extract_world` of a bpy.types.World that is not constant, right after a `RenderGraph` was evaluated."""
     tree = world.inline_shader_nodes()
     nodes = list(tree.node_tree.nodes)
     lines = []
@@ -155,7 +162,7 @@ def bake(world: Any, height: int, samples: int) -> F32:
     """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `core.scene.World.image`. Raises InputError if Cycles fails."""
     from ..pictures import read_picture
 
-    with no_new_images(), _bake_scene(world) as scene, tempfile.TemporaryDirectory() as folder:
+    with no_new_images(), own_slot(), _bake_scene(world) as scene, tempfile.TemporaryDirectory() as folder:
         scene.render.engine = "CYCLES"
         scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 2 * height, height, 100
         scene.render.use_compositing = scene.render.use_sequencer = False

@@ -14,9 +14,12 @@ import bpy
 import numpy as np
 import pytest
 
+from lipac.core.errors import InputError
 from lipac.core.scene import Camera, Mesh
-from lipac.lipac_addon.extract import Extraction, Extractor, extract_frame
-from lipac.lipac_addon.open import open_scene
+from lipac.lipac_addon.extract import Extraction, Extractor, extract_frame, extract_world
+from lipac.lipac_addon.extract.depsgraph import changed
+from lipac.lipac_addon.open import leave_modes, open_scene
+from lipac.lipac_addon.pictures import read_picture
 
 from .conftest import add, collection, cube, grid, instance_of, nodes, scattered, wedge
 
@@ -400,3 +403,68 @@ def test_rows_of_a_scatter_are_read_in_place_and_stay_when_blender_has_forgotten
     junk = [np.full(16 * 900, 7, np.float32) for _ in range(1000)]  # into what was freed
     assert np.array_equal(rows, was)
     del junk
+
+
+def saved_pixels(scene: Any, folder: Path) -> np.ndarray:
+    """What the user gets who saves the render that is shown."""
+    image = next(i for i in bpy.data.images if i.type == "RENDER_RESULT")
+    image.save_render(str(folder / "saved.png"), scene=scene)
+    return read_picture(folder / "saved.png")
+
+
+@pytest.mark.parametrize("shown", [0, 2])
+@pytest.mark.parametrize("order", [("frame", "world"), ("world", "frame")])
+def test_the_users_render_is_not_lost(tmp_path: Path, shown: int, order: tuple[str, str]) -> None:
+    """An extraction renders, and so does the bake of a world; a picture that is not saved yet can be saved afterwards, and is the one that is shown."""
+    scene = bpy.context.scene
+    add("cube", cube())
+    world = scene.world = bpy.data.worlds.new("World")
+    gradient = world.node_tree.nodes.new("ShaderNodeTexGradient")
+    world.node_tree.links.new(gradient.outputs["Color"], next(n for n in world.node_tree.nodes if n.type == "BACKGROUND").inputs["Color"])
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
+    scene.render.resolution_x, scene.render.resolution_y = 16, 8
+    bpy.ops.render.render()
+    before = saved_pixels(scene, tmp_path)
+    slots = next(i for i in bpy.data.images if i.type == "RENDER_RESULT").render_slots
+    slots.active_index = shown  # the user looks at another slot than the one that was rendered
+    for what in order:
+        if what == "frame":
+            extract_frame(scene)
+        else:
+            extract_world(scene)
+    assert slots.active_index == shown
+    slots.active_index = 0
+    assert (saved_pixels(scene, tmp_path) == before).all()
+    assert len(slots) == 9  # one is ours, and used again
+
+
+def test_a_mesh_that_is_edited_is_said(boxes_in_edit_mode: str) -> None:
+    with pytest.raises(InputError, match=f"'{boxes_in_edit_mode}' is in Edit Mode"):
+        extract_frame(bpy.context.scene)
+    leave_modes()
+    assert len(extract_frame(bpy.context.scene).scene.instances) == 1
+
+
+@pytest.fixture
+def boxes_in_edit_mode() -> str:
+    """A cube with a Mirror modifier that is being edited; its name."""
+    item = add("edited", cube())
+    item.modifiers.new("mirror", "MIRROR")
+    bpy.context.view_layer.objects.active = item
+    bpy.ops.object.mode_set(mode="EDIT")
+    return item.name
+
+
+def test_what_cannot_be_put_back_keeps_nothing_else_from_it() -> None:
+    """A film format whose colour mode reads "" (RGBA with a codec without alpha)."""
+    settings = bpy.context.scene.render.image_settings
+    settings.media_type = "VIDEO"
+    settings.file_format = "FFMPEG"
+    before = settings.file_format, settings.color_mode
+    with changed(settings, media_type="IMAGE", file_format="PNG", color_mode="RGBA"):
+        assert settings.color_mode == "RGBA"
+    assert (settings.file_format, settings.color_mode) == before
+    render = bpy.context.scene.render
+    with pytest.raises(TypeError), changed(render, use_border=True, engine="NO_SUCH_ENGINE"):
+        pass
+    assert not render.use_border
