@@ -2,10 +2,13 @@
 
 The culled rows are a boolean attribute on the points of a mask mesh, an object that is in no scene. The modifier samples it by instance index and deletes
 where it is True; an index beyond the mask reads False and stays. Where the mask knows where its rows were, it is the points' position, and an instance that is
-elsewhere stays: an edit of the scatter has numbered it anew. One small node group serves all hosts. A million instances cost a fraction of a second.
+elsewhere stays: an edit of the scatter has numbered it anew. One small node group serves all hosts. A million instances cost a fraction of a second. What stays
+keeps its number, hence its random colour.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import bpy
 import numpy as np
@@ -78,46 +81,96 @@ def _set_input(modifier: bpy.types.Modifier, socket: str, value: bpy.types.ID | 
 
 
 def _new_group() -> bpy.types.NodeTree:
+    """The node group: inputs Geometry, Mask (object) and Anywhere, output Geometry."""
     group = bpy.data.node_groups.new(NAME, "GeometryNodeTree")
     group[marks.KEY] = _MASK
     group.is_modifier = True
     inputs_and_outputs = (("Geometry", "INPUT", "Geometry"), ("Mask", "INPUT", "Object"), ("Anywhere", "INPUT", "Bool"), ("Geometry", "OUTPUT", "Geometry"))
     for name, way, kind in inputs_and_outputs:
         group.interface.new_socket(name, in_out=way, socket_type="NodeSocket" + kind)
-    inputs, output = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
-    info = group.nodes.new("GeometryNodeObjectInfo")
-    attribute = group.nodes.new("GeometryNodeInputNamedAttribute")
-    attribute.data_type = "BOOLEAN"
-    attribute.inputs["Name"].default_value = ATTRIBUTE
-    index, position = group.nodes.new("GeometryNodeInputIndex"), group.nodes.new("GeometryNodeInputPosition")
-    sample, place = (group.nodes.new("GeometryNodeSampleIndex") for _ in range(2))
-    for node, kind in ((sample, "BOOLEAN"), (place, "FLOAT_VECTOR")):
-        node.data_type, node.domain, node.clamp = kind, "POINT", False
-    there = group.nodes.new("FunctionNodeCompare")
-    there.data_type, there.mode, there.operation = "VECTOR", "ELEMENT", "EQUAL"
-    compared = {s.name: s for s in there.inputs if s.enabled}
-    compared["Epsilon"].default_value = REACH
-    either, both = (group.nodes.new("FunctionNodeBooleanMath") for _ in range(2))
-    either.operation, both.operation = "OR", "AND"
-    delete = group.nodes.new("GeometryNodeDeleteGeometry")
-    delete.domain = "INSTANCE"
-    for source, target in (
-        (inputs.outputs["Mask"], info.inputs["Object"]),
-        (info.outputs["Geometry"], sample.inputs["Geometry"]),
-        (attribute.outputs["Attribute"], sample.inputs["Value"]),
-        (index.outputs["Index"], sample.inputs["Index"]),
-        (info.outputs["Geometry"], place.inputs["Geometry"]),
-        (position.outputs["Position"], place.inputs["Value"]),
-        (index.outputs["Index"], place.inputs["Index"]),
-        (position.outputs["Position"], compared["A"]),
-        (place.outputs["Value"], compared["B"]),
-        (there.outputs["Result"], either.inputs[0]),
-        (inputs.outputs["Anywhere"], either.inputs[1]),
-        (sample.outputs["Value"], both.inputs[0]),
-        (either.outputs["Boolean"], both.inputs[1]),
-        (both.outputs["Boolean"], delete.inputs["Selection"]),
-        (inputs.outputs["Geometry"], delete.inputs["Geometry"]),
-        (delete.outputs["Geometry"], output.inputs["Geometry"]),
-    ):
-        group.links.new(source, target)
+    nodes = _Nodes(group)
+    inputs, output = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
+    goes = _goes(nodes, inputs.outputs["Mask"], inputs.outputs["Anywhere"])
+    nodes.link(_delete(nodes, inputs.outputs["Geometry"], goes), output.inputs["Geometry"])
     return group
+
+
+class _Nodes:
+    """A node group that is being made."""
+
+    def __init__(self, group: bpy.types.NodeTree) -> None:
+        self.group = group
+
+    def new(self, kind: str, inputs: dict[str, Any] | None = None, **settings: Any) -> bpy.types.Node:
+        """A node. inputs: by name, sockets to link, or values; settings: its properties."""
+        node = self.group.nodes.new(kind)
+        for name, value in settings.items():
+            setattr(node, name, value)
+        enabled = {s.name: s for s in node.inputs if s.enabled}
+        for name, value in (inputs or {}).items():
+            if isinstance(value, bpy.types.NodeSocket):
+                self.link(value, enabled[name])
+            else:
+                enabled[name].default_value = value
+        return node
+
+    def field(self, kind: str, inputs: dict[str, Any] | None = None, output: int = 0, **settings: Any) -> bpy.types.NodeSocket:
+        """An output of a new node: that of a number among the enabled ones."""
+        return [s for s in self.new(kind, inputs, **settings).outputs if s.enabled][output]
+
+    def both(self, operation: str, a: bpy.types.NodeSocket, b: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        """A boolean operation of two."""
+        node = self.new("FunctionNodeBooleanMath", operation=operation)
+        self.link(a, node.inputs[0])
+        self.link(b, node.inputs[1])
+        return node.outputs[0]
+
+    def link(self, source: bpy.types.NodeSocket, target: bpy.types.NodeSocket) -> None:
+        """Link two sockets."""
+        self.group.links.new(source, target)
+
+
+def _goes(nodes: _Nodes, mask: bpy.types.NodeSocket, anywhere: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """The field of instances to delete: those that the mask names, and that are where it says, or anywhere."""
+    points = nodes.new("GeometryNodeObjectInfo", {"Object": mask}).outputs["Geometry"]
+    index, position = nodes.field("GeometryNodeInputIndex"), nodes.field("GeometryNodeInputPosition")
+    sampled: dict[str, Any] = {"domain": "POINT", "clamp": False}
+    named = nodes.field("GeometryNodeInputNamedAttribute", {"Name": ATTRIBUTE}, data_type="BOOLEAN")
+    culled = nodes.field("GeometryNodeSampleIndex", {"Geometry": points, "Value": named, "Index": index}, data_type="BOOLEAN", **sampled)
+    place = nodes.field("GeometryNodeSampleIndex", {"Geometry": points, "Value": position, "Index": index}, data_type="FLOAT_VECTOR", **sampled)
+    compared: dict[str, Any] = {"data_type": "VECTOR", "mode": "ELEMENT", "operation": "EQUAL"}
+    there = nodes.field("FunctionNodeCompare", {"A": position, "B": place, "Epsilon": REACH}, **compared)
+    return nodes.both("AND", culled, nodes.both("OR", there, anywhere))
+
+
+def _delete(nodes: _Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """The geometry without the instances `goes`, the others numbered as before.
+
+    Blender's number of an instance, from which Object Info > Random and motion blur go, is its id, or its place among all where there are none. Of instances
+    with equal ids the first has this number, and each later one draws another: so what goes is made empty where it shares its id with one that stays.
+    """
+    own = nodes.field("GeometryNodeInputID")
+    numbered = nodes.field("GeometryNodeStoreNamedAttribute", {"Geometry": geometry, "Name": "id", "Value": own}, domain="INSTANCE", data_type="INT")
+    stays = nodes.field("FunctionNodeBooleanMath", {"Boolean": goes}, operation="NOT")
+    stay = nodes.field("GeometryNodeAccumulateField", {"Value": stays, "Group ID": own}, output=2, data_type="INT", domain="INSTANCE")
+    needed = nodes.both("AND", goes, stay)
+    some = nodes.field("GeometryNodeAttributeStatistic", {"Geometry": numbered, "Attribute": needed}, output=4, data_type="FLOAT", domain="INSTANCE")
+    deleted = nodes.field("GeometryNodeDeleteGeometry", {"Geometry": numbered, "Selection": goes}, domain="INSTANCE")
+    emptied = _emptied(nodes, numbered, nodes.both("NIMPLY", goes, needed), needed)
+    return nodes.field("GeometryNodeSwitch", {"Switch": some, "False": deleted, "True": emptied}, input_type="GEOMETRY")
+
+
+def _emptied(nodes: _Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket, empties: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """The geometry without the instances `goes`, and with instances of nothing in place of `empties`, in the same order."""
+    capture = nodes.new("GeometryNodeCaptureAttribute", domain="INSTANCE")
+    for kind, name in (("INT", "Row"), ("BOOLEAN", "Empty")):
+        capture.capture_items.new(kind, name)
+    for value, name in ((geometry, "Geometry"), (nodes.field("GeometryNodeInputIndex"), "Row"), (empties, "Empty")):
+        nodes.link(value, capture.inputs[name])
+    left = nodes.field("GeometryNodeDeleteGeometry", {"Geometry": capture.outputs["Geometry"], "Selection": goes}, domain="INSTANCE")
+    parts = nodes.new("GeometryNodeSeparateGeometry", {"Geometry": left, "Selection": capture.outputs["Empty"]}, domain="INSTANCE")
+    places = nodes.field("GeometryNodeInstancesToPoints", {"Instances": parts.outputs["Selection"]})
+    joined = nodes.new("GeometryNodeJoinGeometry")
+    for part in (nodes.field("GeometryNodeInstanceOnPoints", {"Points": places}), parts.outputs["Inverted"]):
+        nodes.link(part, joined.inputs["Geometry"])
+    return nodes.field("GeometryNodeSortElements", {"Geometry": joined.outputs["Geometry"], "Sort Weight": capture.outputs["Row"]}, domain="INSTANCE")

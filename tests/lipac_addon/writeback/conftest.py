@@ -26,7 +26,8 @@ class Census(bpy.types.RenderEngine):
             if i.object.type == "LIGHT" or (i.object.type in SURFACES and i.show_self and has_faces(i.object)):
                 path = [p for p in i.persistent_id if p < 2**31 - 1][::-1] if i.is_instance else []
                 place = tuple(round(v, 4) for row in i.matrix_world for v in row)
-                Census.met.append(SimpleNamespace(object=i.object.original, host=i.parent.original if i.parent else None, path=path, place=place))
+                host = i.parent.original if i.parent else None
+                Census.met.append(SimpleNamespace(object=i.object.original, host=host, path=path, place=place, random=i.random_id))
 
 
 def has_faces(ob: bpy.types.Object) -> bool:

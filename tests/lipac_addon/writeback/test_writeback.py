@@ -8,6 +8,7 @@ import pytest
 
 from lipac.lipac_addon.keys import Kind
 from lipac.lipac_addon.writeback import apply, restore
+from lipac.tests.lipac_addon.writeback.conftest import who_and_where
 
 # Share of instances culled, at random; 1 culls everything.
 SHARES = (0.3, 0.8, 1.0)
@@ -221,11 +222,70 @@ def test_lengths_must_agree(build, census_keys):
         apply(np.zeros(1, bool), keys)
 
 
-def picture(path):
-    """A small Cycles picture of the open file: (H, W, 4) float32."""
+IDS = {
+    "none": None,
+    "own": [7 * k + 3 for k in range(20)],
+    "all equal": [5] * 20,
+    "pairs": [k // 2 for k in range(20)],
+    "two scatters": [*range(10), *range(10)],
+}
+
+
+def with_ids(ids):
+    if ids is not None:
+        bpy.data.objects["host"].data.attributes.new("id", "INT", "POINT").data.foreach_set("value", ids)
+
+
+@pytest.mark.parametrize("ids", IDS.values(), ids=IDS)
+@pytest.mark.parametrize("scene", ["nodes_object", "nodes_collection", "nodes_children"])
+def test_survivors_keep_their_random_numbers(scene, ids, build, census_keys, met):
+    """Object Info > Random, and what motion blur finds an instance by, whatever ids a scatter has."""
+    build(scene)
+    keys, _places = census_keys()  # before there are ids: Blender lists instances by these
+    with_ids(ids if ids is None else ids[: len(bpy.data.objects["host"].data.vertices)])
+    before = {who_and_where(i): i.random for i in met()}
+    for rows in masks(len(bpy.data.objects["host"].data.vertices), seed=3):
+        assert apply(rows[keys.records["path"][:, 0]] & (keys.records["host"] >= 0), keys).removed.any()
+        assert all(before[who_and_where(i)] == i.random for i in met())
+
+
+def random_colours():
+    """Every surface of the open file in the colour of its random number."""
+    material = bpy.data.materials.new("random")
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    info, shader = nodes.new("ShaderNodeObjectInfo"), nodes.new("ShaderNodeEmission")
+    links.new(info.outputs["Random"], shader.inputs["Strength"])
+    links.new(shader.outputs[0], next(n for n in nodes if n.type == "OUTPUT_MATERIAL").inputs["Surface"])
+    for mesh in bpy.data.meshes:
+        mesh.materials.append(material)
+
+
+@pytest.mark.parametrize(("engine", "ids"), [("CYCLES", "none"), ("CYCLES", "pairs"), ("BLENDER_EEVEE", "pairs")])
+def test_what_is_unseen_changes_no_pixel(engine, ids, build, new_file, census_keys, tmp_path):
+    """Culling what lies outside the picture leaves it bit for bit, colours by number included."""
+    build("nodes_object")
+    keys, _places = census_keys()
+    with_ids(IDS[ids])
+    for vertex in bpy.data.objects["host"].data.vertices:
+        vertex.co.x += 1000.0 * (vertex.index % 3 == 0)
+    random_colours()
+    picture(tmp_path / "first.exr", engine)  # EEVEE's first one in a process differs from all later ones
+    full = picture(tmp_path / "full.exr", engine)
+    culled = (keys.records["host"] >= 0) & (keys.records["path"][:, 0] % 3 == 0)
+    assert apply(culled, keys).removed.sum() == 7
+    culled_picture = picture(tmp_path / "culled.exr", engine)
+    assert len(np.unique(full)) > 10
+    assert (culled_picture == full).all()
+
+
+def picture(path, engine="CYCLES"):
+    """A small picture of the open file: (H W 4,) float32."""
     scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
+    scene.render.engine = engine
     scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 4, 1, False, False
+    scene.eevee.taa_render_samples = 1
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
     scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
