@@ -36,26 +36,31 @@ from .path_state import (
     V_WORLD,
 )
 from .sampling import INNER, normalize, power_heuristic
-from .scene import RayType
+from .scene import VIEWS, RayType
 from .shading import (
+    LIGHT_VIEW,
     M_SHADER,
     S_ERROR,
     T_FLAGS,
     T_TRANSFORM,
     attenuates_emission,
+    composed,
     emission,
     face,
+    hit_number,
     interpolate,
     material_alpha,
     material_inputs,
     material_of,
     mesh_record,
     offset_origin,
+    part_of,
     shadow_origin,
     transmits_shadow,
 )
 
 _CAMERA, _SHADOW, _NEAREST = int(RayType.CAMERA), np.int64(RayType.SHADOW), np.int64(1)  # a literal argument would compile another variant
+_LIGHT, _VIEWS = np.int64(LIGHT_VIEW), np.int64(VIEWS)
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 # What a ray from far away adds to the error at its end, per distance: 12 roundings to take its origin there, 5 of the distance to the plane, 4 of its length.
 _REACH = np.float32(24 * 2.0**-24)
@@ -108,6 +113,10 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
                 add_worth(s, w, entry, arriving)
             return False
         hits_left -= 1
+        if composed(material):
+            interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, w.far_surf, w.far_frame)
+            view = _SHADOW + (_VIEWS if face(w.far_frame, dx, dy, dz) else np.int64(0))
+            material = part_of(s.table, mesh, material, triangle, b1, b2, view, hit_number(triangle, b1, b2))
         material_alpha(s.table, mesh, material, triangle, b1, b2, w.far_params)
         bsdf_transparency(w.far_params, np.int64(load_u32(material + M_SHADER, 0)), w.out)
         for k in range(3):
@@ -132,6 +141,9 @@ def _emitted(s, w, instance, triangle, b1, b2, dx, dy, dz):
     interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, w.far_surf, w.far_frame)
     back = face(w.far_frame, dx, dy, dz)
     material = material_of(s.table, mesh, instance, triangle)
+    if composed(material):
+        view = _LIGHT + (_VIEWS if back else np.int64(0))
+        material = part_of(s.table, mesh, material, triangle, b1, b2, view, hit_number(triangle, b1, b2))
     r, g, b = emission(s.table, mesh, material, triangle, b1, b2, back)
     w.radiance[0] = r
     w.radiance[1] = g

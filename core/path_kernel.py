@@ -14,7 +14,7 @@ from numba import njit
 
 from .atomics import atomic_add_int64
 from .bsdf import bsdf_blur, bsdf_sample, bsdf_setup
-from .camera import camera_ray
+from .camera import CAMERA, camera_ray
 from .direct_light import add_direct_light, add_lamps_seen, world_radiance
 from .embree import HIT_U, HIT_V, PRIM_ID, TFAR
 from .feedback import COLUMNS, ROWS
@@ -38,7 +38,7 @@ from .lobes import (
     TRANSPARENT,
 )
 from .memory import f32_pointer, load_f32, load_i32, load_u8, load_u32, u32_pointer
-from .path_feedback import add_light, count_hit, luminance_of, remember, settle
+from .path_feedback import add_light, add_worth, count_hit, luminance_of, remember, settle
 from .path_log import RECORD
 from .path_rays import count_boxes, entry_of, intersect, set_ray
 from .path_state import (
@@ -52,6 +52,7 @@ from .path_state import (
     A_SUMS,
     BOTH,
     CLEAR,
+    I_CAMERAS,
     I_DIFFUSE,
     I_FIRST_SAMPLE,
     I_GLOSSY,
@@ -87,13 +88,15 @@ from .path_state import (
     scratch,
 )
 from .sampling import INNER, OPTIONS, mix, normalize, path_key, power_heuristic, uniform2
-from .scene import InstanceFlag, RayType, Shader
+from .scene import VIEWS, InstanceFlag, RayType, Shader
 from .shading import (
     M_MIS,
     M_SHADER,
+    M_UNSURE,
     T_FLAGS,
     T_TRANSFORM,
     apply_normal_map,
+    composed,
     emission,
     emits,
     face,
@@ -102,15 +105,17 @@ from .shading import (
     material_of,
     mesh_record,
     offset_origin,
+    part_of,
     transmits_shadow,
 )
 
 _CAMERA, _DIFFUSE_RAY, _GLOSSY_RAY, _TRANSMISSION_RAY = (int(t) for t in RayType if t != RayType.SHADOW)
 _HOLDOUT_FLAG = int(InstanceFlag.HOLDOUT)
+_VIEWS = np.int64(VIEWS)
 _HOLDOUT = int(Shader.HOLDOUT)
 _ZERO, _ONE, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 3.0)
 _DIMENSIONS = 4  # pairs of numbers per vertex
-_LENS, _FILTER = np.uint64(1 << 40), np.uint64((1 << 40) + 1)
+_LENS, _FILTER, _TIME = np.uint64(1 << 40), np.uint64((1 << 40) + 1), np.uint64((1 << 40) + 2)
 _INSTANCE_BYTES = np.uint64(48)
 
 
@@ -148,6 +153,7 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
     last = False  # a limit is reached: only emission counts, and what lies behind transparency
     stop = False  # too many transparent surfaces: ends at the next surface
     after_diffuse = False
+    through = False  # it has passed straight on through something of which we do not know how much that lets through
     mis = bounce > 0  # False: a literal would compile what it is given to once more
     pdf = min_pdf = FAR
     px, py, pz = ox, oy, oz  # where the last bounce was
@@ -198,6 +204,8 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
                 count_hit(s, instance, ray_type)
                 if s.weights != np.uint64(0) or s.log != np.uint64(0):
                     remember(s, w, entry, tr, tg, tb)
+                if through and s.weights != np.uint64(0):
+                    add_worth(s, w, entry, FAR)
         triangle = np.int64(load_u32(w.ray_words, PRIM_ID))
         b1, b2 = w.ray[HIT_U], w.ray[HIT_V]
         mesh = mesh_record(s.primary_meshes if first else s.meshes, s.table, instance)
@@ -219,6 +227,11 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
 
         interpolate(mesh, m, triangle, b1, b2, w.surf, w.frame)
         back = face(w.frame, dx, dy, dz)
+        if composed(material):
+            _, u0 = uniform2(key, dimension + np.uint64(3))
+            material = part_of(s.table, mesh, material, triangle, b1, b2, ray_type + (_VIEWS if back else np.int64(0)), u0)
+            shader = np.int64(load_u32(material + M_SHADER, 0))
+            glows = emits(material)
         if background and (shader == _HOLDOUT or np.int64(load_u8(s.table[T_FLAGS], instance)) & _HOLDOUT_FLAG != 0):
             w.total[3] += (tr + tg + tb) * _THIRD
             return
@@ -272,6 +285,10 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             tb *= np.float32(w.out[O_WEIGHT + 2])
         if not (tr > _ZERO or tg > _ZERO or tb > _ZERO):
             return
+        if label & (TRANSPARENT | TRANSMIT) and load_u8(material + M_UNSURE, 0) != 0:
+            through = True
+        elif label & TRANSPARENT == 0:
+            through = False
         dimension += np.uint64(_DIMENSIONS)
         far = FAR
         second = first
@@ -323,7 +340,7 @@ def trace_tile(x0, y0, x1, y1, a):
     w = scratch((np.uint64(work.ctypes.data) + np.uint64(15)) & ~np.uint64(15))
     w.stats[RAYS] = 0
     width, height = s.settings[I_WIDTH], s.settings[I_HEIGHT]
-    camera = f32_pointer(a[A_CAMERA])
+    camera, cameras = f32_pointer(a[A_CAMERA]), s.settings[I_CAMERAS]
     pixel_filter = f32_pointer(a[A_FILTER])
     sums = f32_pointer(a[A_SUMS])
     parts = f32_pointer(a[A_PARTS])
@@ -344,6 +361,9 @@ def trace_tile(x0, y0, x1, y1, a):
                 key = path_key(seed, np.uint64(y * width + x), np.uint64(s.settings[I_FIRST_SAMPLE] + k))
                 f0, f1 = uniform2(key, _FILTER)
                 l0, l1 = uniform2(key, _LENS)
+                if cameras > 1:
+                    time, _ = uniform2(key, _TIME)
+                    camera = f32_pointer(a[A_CAMERA] + np.uint64(4 * CAMERA) * np.uint64(min(np.int64(time * np.float32(cameras)), cameras - 1)))
                 record = np.uint64(0)
                 if a[A_PRIMARY] != np.uint64(0):  # its jitter is in the camera
                     record = a[A_PRIMARY] + np.uint64(16) * np.uint64(y * width + x)

@@ -38,8 +38,9 @@ from .shading import SURF
     I_HITBOX_NEAREST,
     I_STRATEGY,
     I_LAMPS_KNOWN,
-) = range(18)
-SETTINGS = 18
+    I_CAMERAS,
+) = range(19)
+SETTINGS = 19
 BOTH, LIGHT_ONLY, BSDF_ONLY = 0, 1, 2  # I_STRATEGY: for tests, all agree in the mean
 
 # limits, float32[LIMITS]: clamps (sum over channels, FAR where off), inverse of filter glossy (0: off), exposure, world colour

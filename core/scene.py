@@ -52,6 +52,9 @@ class Shader(IntEnum):
     HOLDOUT = 6  # black with zero alpha
     REFRACTION = 7  # GGX refraction only
     TRANSLUCENT = 8  # Lambert transmission
+    # From here on: composed of others
+    MIX = 64  # one of two other materials (`parts`), the second with a probability of `alpha`
+    BY_RAY = 65  # one of two other materials, by what sees it (`rays`)
 
 
 class Extension(IntEnum):
@@ -87,6 +90,7 @@ class InstanceFlag(IntFlag):
 
 
 NO_TEXTURE = -1
+VIEWS = RAY_TYPES + 1  # what a BY_RAY material tells apart: ray types, and light sampling behind them; first of the front, then of the back
 
 MATERIAL = np.dtype(
     [
@@ -121,6 +125,9 @@ MATERIAL = np.dtype(
         ("transmission_channel", "u1"),
         ("mis_emission", "u1"),  # 1: its emission is sampled as a light (Blender's "Emission Sampling")
         ("single_sided_emission", "u1"),  # 1: emits from the front side only
+        ("unsure", "u1"),  # 1: an approximation; how much passes through is not known, so all that is seen through it is to be kept
+        ("rays", "u2"),  # of BY_RAY: a bit per view that sees the second part
+        ("parts", "i4", (2,)),  # of MIX and BY_RAY: rows of two materials, never in a cycle; emission there is the brightest of theirs
     ],
     align=True,
 )
@@ -292,6 +299,7 @@ class Scene:
     slot_materials: (S,) int32 into materials.
     approximated: one line per thing that the engine renders differently from Blender.
     first_hits: what camera rays meet, where it is known from elsewhere, by width and height of the picture: paths of such a picture start there.
+    shutter: the camera at evenly spaced moments of an exposure, of which each path takes one at random; none: it stands still.
     """
 
     instances: Instances
@@ -309,6 +317,7 @@ class Scene:
     origin: F64 = field(default_factory=lambda: np.zeros(3))
     approximated: tuple[str, ...] = ()
     first_hits: Mapping[tuple[int, int], Primary] = field(default_factory=dict)
+    shutter: tuple[Camera, ...] = ()
 
 
 def default_material() -> Records:

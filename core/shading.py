@@ -32,8 +32,8 @@ from .lobes import (
     P_TRANSMISSION,
 )
 from .memory import address, load_f32, load_i32, load_u8, load_u16, load_u32, load_u64, offset
-from .sampling import INNER, normalize
-from .scene import MATERIAL, Scene, Shader
+from .sampling import INNER, mix, normalize
+from .scene import MATERIAL, RAY_TYPES, Scene, Shader
 from .textures import lookup, texture_uv_map
 
 T_TRANSFORM, T_MESH, T_SLOTS, T_FLAGS, T_SLOT_MATERIALS, T_MATERIALS, T_TEXTURES, T_BYTES, T_FLOATS = range(9)
@@ -62,11 +62,15 @@ M_EMISSION_TEXTURE, _NORMAL_TEXTURE = offset(MATERIAL, "emission_texture"), offs
 _TRANSMISSION_TEXTURE = offset(MATERIAL, "transmission_texture")
 _METALLIC_CHANNEL, _ROUGHNESS_CHANNEL = offset(MATERIAL, "metallic_channel"), offset(MATERIAL, "roughness_channel")
 _ALPHA_CHANNEL, _TRANSMISSION_CHANNEL = offset(MATERIAL, "alpha_channel"), offset(MATERIAL, "transmission_channel")
+_RAYS, _PARTS, M_UNSURE = offset(MATERIAL, "rays"), offset(MATERIAL, "parts"), offset(MATERIAL, "unsure")
 
 _PRINCIPLED, _TRANSPARENT = np.uint32(Shader.PRINCIPLED), np.uint32(Shader.TRANSPARENT)
+_MIX, _BY_RAY = np.uint32(Shader.MIX), np.uint32(Shader.BY_RAY)
 _ZERO, _ONE, _HALF, _TWO, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(2.0), np.float32(1.0 / 3.0)
 # Error bounds of `interpolate`, in units of float32's rounding
 _TRANSFORM, _TRIANGLE, _POSITION, _SLIVER = 12 * 2.0**-24, 4 * 2.0**-24, 2 * 2.0**-24, 2.0**10
+_BITS = np.float32(2.0**31)
+LIGHT_VIEW = RAY_TYPES  # for `part_of`: what light sampling sees
 _GEOMETRY_OFFSET = np.float32(0.1)  # Blender's default "Shadow Terminator Geometry Offset"
 
 
@@ -328,6 +332,40 @@ def material_alpha(table, mesh, material, triangle, b1, b2, params):
 
 
 @njit(**INNER)
+def composed(material):
+    """Whether a material consists of others: `part_of` tells which one counts."""
+    return load_u32(material + M_SHADER, 0) >= _MIX
+
+
+@njit(**INNER)
+def part_of(table, mesh, material, triangle, b1, b2, view, u):
+    """Address of the material that counts at a point of a composed one. view: ray type, or `LIGHT_VIEW`, plus VIEWS where seen from its back; u: a uniform
+    number, that picks the parts of a MIX by their shares."""
+    while True:
+        shader = load_u32(material + M_SHADER, 0)
+        if shader == _BY_RAY:
+            second = (np.int64(load_u16(material + _RAYS, 0)) >> view) & 1
+        elif shader == _MIX:
+            share = load_f32(material + _ALPHA, 0)
+            texture = load_i32(material + _ALPHA_TEXTURE, 0)
+            if texture >= 0 and table[T_TEXTURES] != np.uint64(0):
+                share *= sample_channel(table, mesh, texture, load_u8(material + _ALPHA_CHANNEL, 0), triangle, b1, b2)
+            share = min(max(share, _ZERO), _ONE)
+            second = np.int64(u < share)
+            u = u / share if u < share else (u - share) / (_ONE - share)  # u is below 1
+        else:
+            return material
+        material = table[T_MATERIALS] + np.uint64(load_i32(material + _PARTS, second)) * MATERIAL_SIZE
+
+
+@njit(**INNER)
+def hit_number(triangle, b1, b2):
+    """A uniform number that belongs to a point of a triangle: where a path has none of its own to pick a part by."""
+    x = np.uint64(np.int64(b1 * _BITS)) | np.uint64(np.int64(b2 * _BITS)) << np.uint64(32)
+    return np.float32(mix(mix(x) + np.uint64(triangle)) >> np.uint64(40)) * np.float32(2.0**-24)
+
+
+@njit(**INNER)
 def emission(table, mesh, material, triangle, b1, b2, back):
     """Radiance that a surface emits at a point, before alpha and coat: 3 float32. back: seen from its back."""
     r, g, b = load_f32(material + M_EMISSION, 0), load_f32(material + M_EMISSION, 1), load_f32(material + M_EMISSION, 2)
@@ -354,7 +392,9 @@ def emits(material):
 def transmits_shadow(material):
     """Whether a shadow ray may pass a material at all."""
     shader = load_u32(material + M_SHADER, 0)
-    return shader == _TRANSPARENT or (shader == _PRINCIPLED and (load_f32(material + _ALPHA, 0) < _ONE or load_i32(material + _ALPHA_TEXTURE, 0) >= 0))
+    if shader == _TRANSPARENT or shader >= _MIX:
+        return True
+    return shader == _PRINCIPLED and (load_f32(material + _ALPHA, 0) < _ONE or load_i32(material + _ALPHA_TEXTURE, 0) >= 0)
 
 
 @njit(**INNER)

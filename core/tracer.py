@@ -67,7 +67,7 @@ class Prepared:
 
 def prepare(scene: Scene, blas: BlasCache) -> Prepared:
     """Build lights, camera and tables of a scene whose loaded meshes are in blas. Loads the meshes of emissive instances, no other, and keeps them."""
-    return Prepared(scene, blas, SceneTable(scene), Lights(scene), camera_constants(scene.camera), filter_offsets(scene.film))
+    return Prepared(scene, blas, SceneTable(scene), Lights(scene), _cameras(scene), filter_offsets(scene.film))
 
 
 def advanced(prepared: Prepared, scene: Scene, change: Change) -> Prepared:
@@ -78,13 +78,19 @@ def advanced(prepared: Prepared, scene: Scene, change: Change) -> Prepared:
     if change.shading or change.previous is not None or changed or emits:
         lights = Lights(scene, None, {m: mesh for m, mesh in lights.meshes.items() if m not in changed})
     pixel_filter = prepared.pixel_filter if scene.film == prepared.scene.film else filter_offsets(scene.film)
-    return Prepared(scene, prepared.blas, SceneTable(scene), lights, camera_constants(scene.camera), pixel_filter)
+    return Prepared(scene, prepared.blas, SceneTable(scene), lights, _cameras(scene), pixel_filter)
+
+
+def _cameras(scene: Scene) -> F32:
+    """(C, CAMERA) float32, constants of the cameras that paths start at."""
+    return np.stack([camera_constants(camera) for camera in scene.shutter or (scene.camera,)])
 
 
 def has_transparent_shadows(scene: Scene) -> bool:
     """Whether some material lets shadow rays through."""
     m = scene.materials
-    return bool(((m["shader"] == Shader.TRANSPARENT) | ((m["shader"] == Shader.PRINCIPLED) & ((m["alpha"] < 1) | (m["alpha_texture"] >= 0)))).any())
+    through = (m["shader"] == Shader.TRANSPARENT) | (m["shader"] >= Shader.MIX)
+    return bool((through | ((m["shader"] == Shader.PRINCIPLED) & ((m["alpha"] < 1) | (m["alpha_texture"] >= 0)))).any())
 
 
 def trace(
@@ -139,7 +145,7 @@ def trace(
     if primary is not None:
         parts, camera = np.zeros((height, width, state.PARTS), np.float32), primary.constants
         addresses[state.A_PARTS], addresses[state.A_CAMERA] = address(parts), address(camera)
-        settings[state.I_LAMPS_KNOWN] = primary.lamps_known
+        settings[state.I_LAMPS_KNOWN], settings[state.I_CAMERAS] = primary.lamps_known, 1
         addresses[state.A_PRIMARY], addresses[state.A_PRIMARY_MESHES] = address(primary.hits), address(primary.meshes.table)
         if boxes is not None and len(boxes):
             addresses[state.BOXES], addresses[state.A_BOX_COUNTERS] = boxes.handle, address(boxes.counters)
@@ -203,6 +209,7 @@ def _settings(
         state.I_HITBOX_EVERY: hitbox_every,
         state.I_HITBOX_NEAREST: nearest,
         state.I_STRATEGY: strategy,
+        state.I_CAMERAS: max(len(scene.shutter), 1),
     }.items():
         settings[slot] = value
     values = np.zeros(state.LIMITS, np.float32)

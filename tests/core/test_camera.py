@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lipac.core import scene as s
 from lipac.core.camera import aperture_point, camera_constants, camera_ray
+
+from .scenes import build, look_at, material, placed, quad, render
 
 F = np.float32
 TURNED = np.array([[0.0, 0.0, 1.0, 2.0], [1.0, 0.0, 0.0, -3.0], [0.0, 1.0, 0.0, 0.5]])  # looks along -X, up +Z
@@ -73,3 +77,12 @@ def test_the_polygonal_aperture_is_uniform() -> None:
         share = np.pi * radius**2 / area
         inside = (np.hypot(*p.T) < radius).mean()
         assert abs(inside - share) < 5 * np.sqrt(share * (1 - share) / len(p))
+
+
+def test_paths_take_a_camera_of_the_shutter() -> None:
+    """A picture over a shutter is the mean of those that its cameras make, whatever the scene's own camera sees."""
+    glow = [material(s.Shader.EMISSION, emission=c) for c in np.eye(3)]
+    placement = [(0, placed((4.0 * k, 0, 0), 2.0), k) for k in range(3)]
+    cameras = tuple(look_at((4.0 * k, 0, 10), (4.0 * k, 0, 0), 0.05, 1.0) for k in range(3))
+    scene = replace(build([quad()], placement, glow, look_at((0, 0, 10), (0, 0, 20)), world=(0, 0, 0), size=(16, 16)), shutter=cameras)
+    np.testing.assert_allclose(render(scene, 64).mean[..., :3].mean((0, 1)), [1 / 3, 1 / 3, 1 / 3], atol=0.02)
