@@ -1,18 +1,23 @@
 """Node materials -> MATERIAL records.
 
-Principled and the plain BSDF nodes map one to one. Mix and Add shaders are reduced to one model: with Transparent to alpha, with Emission to an emission, of
-equal models to their average; anything else to the part with the larger weight. Whatever is lost is reported as "material NAME: WHAT".
+Principled and the plain BSDF nodes map one to one. Mix and Add shaders become materials composed of others, which paths pick at random by their shares; with
+Transparent a Principled gets an alpha, with Emission a plain BSDF an emission. A tree that tells rays or sides apart is converted for each of them.
+
+What is not modelled errs on the side of seeing more: where nobody can say how much passes through, half of the paths do, and the record is marked as unsure, so
+that what they see there is kept. Whatever differs from Blender is reported as "material NAME: WHAT".
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 
-from ...core.scene import Records, Shader, default_material
-from .nodes import MEAN, Reader, Value, grey
+from ...core.scene import VIEWS, Records, Shader, default_material
+from .nodes import MEAN, Reader, Value, View, grey
 from .textures import TextureTable
 
 CONSTANT = {  # record field: socket of Principled, for inputs that the core takes untextured
@@ -29,33 +34,90 @@ UNSUPPORTED = {"Subsurface Weight": "subsurface", "Sheen Weight": "sheen", "Anis
 SCALARS = ("metallic", "roughness", "alpha", "transmission")
 
 
+TINTED = {Shader.DIFFUSE, Shader.GLOSSY, Shader.GLASS, Shader.TRANSPARENT, Shader.REFRACTION, Shader.TRANSLUCENT}  # linear in `base_color`
+HALF = grey(0.5)
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A material that consists of two others. head: its own record, MIX or BY_RAY."""
+
+    head: Records
+    first: Tree
+    second: Tree
+
+
+Tree = Records | Composed
+
+
+def leaves(tree: Tree) -> Iterator[Records]:
+    """All records of a material that are not composed, to be changed in place."""
+    if isinstance(tree, Composed):
+        yield from leaves(tree.first)
+        yield from leaves(tree.second)
+    else:
+        yield tree
+
+
+def heads(tree: Tree) -> Iterator[Records]:
+    """All records of a material that are composed of others."""
+    if isinstance(tree, Composed):
+        yield tree.head
+        yield from heads(tree.first)
+        yield from heads(tree.second)
+
+
+def unsure(tree: Tree) -> Tree:
+    """The material, where it is not known how much passes through it."""
+    for leaf in leaves(tree):
+        leaf["unsure"] = 1
+    return tree
+
+
 class MaterialTable:
-    """Materials by name: `index(material)` converts one the first time."""
+    """Materials by name: `index(material)` converts one the first time.
+
+    records: the materials, composed ones with `parts` that are numbered from the first of those records that are parts of others.
+    """
 
     def __init__(self, textures: TextureTable) -> None:
         self.textures = textures
         self.records: list[Records] = []
         self.approximated: dict[str, None] = {}
+        self._parts: list[Records] = []
+        self._textured: list[bool] = []
         self._known: dict[str | None, int] = {}
 
     def index(self, material: Any) -> int:
         """Index of a bpy.types.Material, or of the default for None."""
         name = None if material is None else material.name_full
         if name not in self._known:
+            tree = default_material() if material is None else self._convert(material)
             self._known[name] = len(self.records)
-            self.records.append(default_material() if material is None else self._convert(material))
+            self._textured.append(any(_is_textured(record) for record in (*leaves(tree), *heads(tree))))
+            self.records.append(self._flat(tree))
         return self._known[name]
 
     def textured(self, index: int) -> bool:
         """Whether a material needs UVs."""
-        record = self.records[index]
-        return any(record[name] >= 0 for name in record.dtype.names or () if name.endswith("_texture"))
+        return self._textured[index]
 
     def build(self) -> Records:
-        """(M,) of MATERIAL."""
-        return np.stack(self.records) if self.records else default_material()[None]
+        """(M,) of MATERIAL: those that have an index, then the parts of composed ones."""
+        out = np.stack([*(self.records or [default_material()]), *self._parts])
+        out["parts"][out["shader"] >= Shader.MIX] += len(out) - len(self._parts)
+        return out
 
-    def _convert(self, material: Any) -> Records:
+    def _flat(self, tree: Tree) -> Records:
+        if not isinstance(tree, Composed):
+            return tree
+        parts = [self._flat(part) for part in (tree.first, tree.second)]
+        tree.head["parts"] = np.arange(2) + len(self._parts)
+        tree.head["emission"] = np.maximum(*(part["emission"] for part in parts))
+        self._parts += parts
+        return tree.head
+
+    def _convert(self, material: Any) -> Tree:
         def report(line: str) -> None:
             self.approximated.setdefault(f"material {material.name}: {line}")
 
@@ -69,22 +131,43 @@ class MaterialTable:
         tree = inlined.node_tree
         if tree.get_output_node("CYCLES") is None:
             tree = material.node_tree  # only the active output is inlined, and that one may be EEVEE's
-        record = convert_tree(tree, self.textures, report)
-        record["mis_emission"] = material.cycles.emission_sampling != "NONE"
-        return record
+        out = convert_tree(tree, self.textures, report)
+        for record in (*leaves(out), *heads(out)):
+            record["mis_emission"] = material.cycles.emission_sampling != "NONE"
+        return out
 
 
-def convert_tree(tree: Any, textures: TextureTable, report: Callable[[str], None]) -> Records:
-    """MATERIAL record of an inlined shader tree."""
+def _is_textured(record: Records) -> bool:
+    return any(record[name] >= 0 for name in record.dtype.names or () if name.endswith("_texture"))
+
+
+def convert_tree(tree: Any, textures: TextureTable, report: Callable[[str], None]) -> Tree:
+    """The material of an inlined shader tree."""
     output = tree.get_output_node("CYCLES")
     if output is None:
         return _black()
-    if output.inputs["Volume"].is_linked:
-        report("volume not rendered")
     if output.inputs["Displacement"].is_linked:
         report("displacement not rendered")
-    record = _Converter(textures, report).surface(output.inputs["Surface"])
-    return _black() if record is None else record
+    first = _Converter(textures, report, View(0, False))
+    out = first.output(output)
+    if not first.reader.asked:
+        return out
+    distinct: dict[bytes, tuple[Tree, int]] = {}
+    for k, (back, ray) in enumerate(product((False, True), range(VIEWS))):
+        seen = _Converter(textures, report, View(ray, back)).output(output)
+        key = _key(seen)
+        distinct[key] = seen, distinct.get(key, (seen, 0))[1] | 1 << k
+    (out, _), *others = distinct.values()
+    for seen, rays in others:
+        head = default_material()
+        head["shader"], head["rays"] = Shader.BY_RAY, rays
+        out = Composed(head, out, seen)
+    return out
+
+
+def _key(tree: Tree) -> bytes:
+    """Tells materials apart."""
+    return tree.head.tobytes() + _key(tree.first) + _key(tree.second) if isinstance(tree, Composed) else tree.tobytes()
 
 
 def _black() -> Records:
@@ -93,24 +176,51 @@ def _black() -> Records:
     return record
 
 
+def _clear() -> Records:
+    record = default_material()
+    record["shader"], record["base_color"] = Shader.TRANSPARENT, 1.0
+    return record
+
+
 class _Converter:
-    def __init__(self, textures: TextureTable, report: Callable[[str], None]) -> None:
+    def __init__(self, textures: TextureTable, report: Callable[[str], None], view: View) -> None:
         self.textures = textures
         self.report = report
-        self.reader = Reader(textures, report)
+        self.reader = Reader(textures, report, view)
 
-    def surface(self, socket: Any) -> Records | None:
-        """Record of what is linked to a shader socket; None where nothing is (black)."""
+    def output(self, node: Any) -> Tree:
+        """What an output node shows."""
+        tree = self.surface(node.inputs["Surface"])
+        if node.inputs["Volume"].is_linked:
+            self.report("volume not rendered")
+            if not node.inputs["Surface"].is_linked:
+                return self._volume()
+        return _black() if tree is None else tree
+
+    def _volume(self) -> Tree:
+        """The boundary of a volume: what passes it is scattered, or is not."""
+        scatters = default_material()
+        scatters["shader"] = Shader.TRANSLUCENT
+        return unsure(self._mix(_clear(), scatters, HALF))
+
+    def surface(self, socket: Any) -> Tree | None:
+        """What is linked to a shader socket; None where nothing is (black)."""
         if not socket.is_linked:
             return None
         node = socket.links[0].from_node
         method = getattr(self, f"node_{node.type.lower()}", None)
         if method is None:
             return self._other(node)
-        record: Records | None = method(node)
-        return record
+        tree: Tree | None = method(node)
+        return tree
 
     # Filling a record
+
+    def _weighed(self, socket: Any) -> tuple[Value, bool]:
+        """A value that says how much of something shows, and whether it is but an approximation; then it is a half."""
+        before = self.reader.doubts
+        value = self.reader.value(socket)
+        return (HALF, True) if self.reader.doubts > before else (value, False)
 
     def _color(self, record: Records, field: str, value: Value) -> None:
         """A colour and its texture."""
@@ -163,7 +273,9 @@ class _Converter:
         """A BSDF node with Color, and perhaps Roughness, IOR and Normal."""
         record = default_material()
         record["shader"] = shader
+        before = self.reader.doubts
         self._color(record, "base_color", self.reader.value(node.inputs["Color"]))
+        record["unsure"] = shader == Shader.TRANSPARENT and self.reader.doubts > before
         if "Roughness" in node.inputs:
             field = "diffuse_roughness" if shader == Shader.DIFFUSE else "roughness"
             if field == "roughness":
@@ -189,7 +301,10 @@ class _Converter:
         self._color(record, "base_color", self.reader.value(sockets["Base Color"]))
         names = {"metallic": "Metallic", "roughness": "Roughness", "alpha": "Alpha", "transmission": "Transmission Weight"}
         for field in SCALARS:
-            self._scalar(record, field, self.reader.value(sockets[names[field]]))
+            before, share = self.reader.doubts, self.reader.value(sockets[names[field]])
+            if self.reader.doubts > before and field in {"alpha", "transmission"}:
+                share, record["unsure"] = HALF, 1
+            self._scalar(record, field, share)
         for field, name in CONSTANT.items():
             value = self.reader.constant(sockets[name])
             record[field] = value if record[field].shape else value[0]
@@ -254,7 +369,15 @@ class _Converter:
         self.report("Specular BSDF is EEVEE's alone: black, as in Cycles")
         return None
 
-    def _other(self, node: Any) -> Records:
+    def node_bsdf_ray_portal(self, node: Any) -> Tree:
+        self.report("Ray Portal rendered as transparent: what it shows from elsewhere is not known")
+        return unsure(_clear())
+
+    def node_script(self, node: Any) -> Tree:
+        self.report("script not run: half of all rays pass")
+        return unsure(self._mix(self._other(node), _clear(), HALF))
+
+    def _other(self, node: Any) -> Tree:
         """Subsurface, sheen, toon, hair and the like: diffuse with their colour."""
         self.report(f"{node.bl_label} rendered as diffuse")
         record = default_material()
@@ -267,120 +390,103 @@ class _Converter:
 
     # Combinations
 
-    def node_add_shader(self, node: Any) -> Records | None:
+    def _mix(self, first: Tree, second: Tree, share: Value) -> Tree:
+        """Either of two, share of the second."""
+        head = default_material()
+        head["shader"] = Shader.MIX
+        self._scalar(head, "alpha", share)
+        return Composed(head, first, second)
+
+    def node_add_shader(self, node: Any) -> Tree | None:
         a, b = (self.surface(s) for s in node.inputs)
         if a is None or b is None:
             return b if a is None else a
         for one, other in ((a, b), (b, a)):
-            if one["shader"] == Shader.EMISSION:
-                return self._with_emission(other, one)
-        self.report("Add Shader reduced to the brighter part")
-        return a if _albedo(a) >= _albedo(b) else b
+            if not isinstance(one, Composed) and one["shader"] == Shader.EMISSION and not _both_textured(one, other):
+                for leaf in leaves(other):
+                    _add_emission(leaf, one)
+                return other
+        for leaf in (*leaves(a), *leaves(b)):  # each is seen by half of the paths
+            leaf["emission"] *= 2
+            if int(leaf["shader"]) in TINTED:
+                leaf["base_color"] *= 2
+            elif leaf["shader"] != Shader.EMISSION:
+                self.report(f"{Shader(int(leaf['shader'])).name.title()} in an Add Shader rendered with half of its weight")
+        return self._mix(a, b, HALF)
 
-    def _with_emission(self, record: Records, emitter: Records) -> Records:
-        if not emitter["emission"].any():
-            return record
-        if record["emission"].any():
-            if record["emission_texture"] >= 0 or emitter["emission_texture"] >= 0:
-                self.report("sum of two emissions reduced to the brighter one")
-                if record["emission"].sum() < emitter["emission"].sum():
-                    record["emission"], record["emission_texture"] = emitter["emission"], emitter["emission_texture"]
-            else:
-                record["emission"] += emitter["emission"]
-            return record
-        record["emission"], record["emission_texture"] = emitter["emission"], emitter["emission_texture"]
-        return record
-
-    def node_mix_shader(self, node: Any) -> Records | None:
+    def node_mix_shader(self, node: Any) -> Tree | None:
         source = node.inputs[0].links[0].from_node if node.inputs[0].is_linked else None
         a, b = self.surface(node.inputs[1]), self.surface(node.inputs[2])
-        if source is not None and source.type == "LIGHT_PATH":
-            self.report("choice by Light Path: all rays see the part that is not transparent")
-            return b if a is None or a["shader"] == Shader.TRANSPARENT else a
         if source is not None and source.type in {"FRESNEL", "LAYER_WEIGHT"}:
             return self._by_fresnel(source, a, b)
-        factor = self.reader.value(node.inputs[0])
+        factor, doubtful = self._weighed(node.inputs[0])
+        t = min(max(factor.scalar, 0.0), 1.0)
         if factor.use is None:
-            t = min(max(factor.scalar, 0.0), 1.0)
             if t in (0.0, 1.0):
                 return b if t else a
             factor = grey(t)
         a, b = (_black() if r is None else r for r in (a, b))
+        if doubtful:
+            return unsure(self._mix(a, b, HALF))
+        if isinstance(a, Composed) or isinstance(b, Composed):
+            return self._mix(a, b, factor)
         for one, other, swapped in ((a, b, False), (b, a, True)):
-            if one["shader"] == Shader.TRANSPARENT and other["shader"] != Shader.TRANSPARENT:
-                if np.abs(one["base_color"] - 1).max() > 1e-3:
-                    self.report("tint of the transparent part not rendered")
-                return self._with_alpha(other, self._complement(factor) if swapped else factor)
-        t = self._mean(factor)
-        for one, other, weight in ((a, b, t), (b, a, 1 - t)):
-            if one["shader"] == Shader.EMISSION and other["shader"] != Shader.EMISSION:
-                if factor.use is not None:
-                    self.report("texture that mixes with Emission replaced by its average")
+            if _is_clear(one) and other["shader"] == Shader.PRINCIPLED and other["alpha"] == 1 and other["alpha_texture"] < 0:
+                self._scalar(other, "alpha", self._complement(factor) if swapped else factor)
+                return other
+            plain = int(other["shader"]) in TINTED | {Shader.EMISSION}
+            if one["shader"] == Shader.EMISSION and plain and factor.use is None and not _both_textured(one, other):
+                weight = 1 - t if swapped else t
                 one["emission"] *= 1 - weight
                 other["base_color"] *= weight
                 other["emission"] *= weight
-                if other["shader"] == Shader.PRINCIPLED:
-                    other["specular_level"] *= weight
-                    self.report("mix of Principled with Emission: its specular part is dimmed by its level only")
-                return self._with_emission(other, one)
-        if factor.use is not None:
-            self.report("texture that mixes shaders replaced by its average")
-        return self._blend(a, b, t)
-
-    def _mean(self, factor: Value) -> float:
-        return factor.scalar if factor.use is None else float(self.reader.pixels(factor)[..., 0].mean())
+                _add_emission(other, one)
+                return other
+        return self._mix(a, b, factor)
 
     def _complement(self, factor: Value) -> Value:
         return grey(1 - factor.scalar) if factor.use is None else self.reader.map(lambda x: 1 - x, factor)
 
-    def _with_alpha(self, record: Records, alpha: Value) -> Records:
-        """alpha: a scalar of the mix. Emission and the other models of the core are scaled by `alpha` as Principled is."""
-        if record["alpha_texture"] >= 0 or record["alpha"] < 1:
-            self.report("product of two alphas: only the outer one is textured")
-            record["alpha_texture"] = -1
-            factor = float(record["alpha"])
-            alpha = Value(tuple(f * factor for f in alpha.factor), alpha.use, alpha.channel)  # type: ignore[arg-type]
-        self._scalar(record, "alpha", alpha)
-        return record
-
-    def _blend(self, a: Records, b: Records, t: float) -> Records:
-        """Two models, t of the second."""
-        if a["shader"] == b["shader"]:
-            larger, smaller, s = (b, a, 1 - t) if t > 0.5 else (a, b, t)
-            out = larger.copy()
-            for name in out.dtype.names or ():
-                if out.dtype[name].base.kind == "f" and (f"{name}_texture" not in (out.dtype.names or ())):
-                    out[name] = larger[name] * (1 - s) + smaller[name] * s
-            for name in ("base_color", "emission", *SCALARS):
-                texture = f"{name}_texture"
-                if larger[texture] == smaller[texture]:
-                    out[name] = larger[name] * (1 - s) + smaller[name] * s
-            self.report("Mix Shader reduced to one model with averaged inputs")
-            return out
-        self.report(f"Mix Shader reduced to {Shader(int((b if t > 0.5 else a)['shader'])).name.lower()}, the part with the larger weight")
-        return b if t > 0.5 else a
-
-    def _by_fresnel(self, source: Any, a: Records | None, b: Records | None) -> Records | None:
+    def _by_fresnel(self, source: Any, a: Tree | None, b: Tree | None) -> Tree | None:
         """The classic of older files: a coat of Glossy over Diffuse by Fresnel or Layer Weight is what Principled does."""
         if a is None or b is None:
             return b if a is None else a
-        self.report(f"Mix Shader by {source.bl_label} rendered as Principled")
-        if a["shader"] == Shader.DIFFUSE and b["shader"] == Shader.GLOSSY:
-            out = a.copy()
-            out["shader"] = Shader.PRINCIPLED
-            for name in ("roughness", "roughness_texture", "roughness_channel"):
-                out[name] = b[name]
-            if source.type == "FRESNEL":
-                out["ior"] = self.reader.constant(source.inputs["IOR"])[0]
-            else:  # Layer Weight: blend b stands for an index of refraction of 1 / (1 - b)
-                out["ior"] = 1 / (1 - min(float(self.reader.constant(source.inputs["Blend"])[0]), 0.9))
-            return out
-        if {int(a["shader"]), int(b["shader"])} == {int(Shader.REFRACTION), int(Shader.GLOSSY)}:
-            out = (a if a["shader"] == Shader.REFRACTION else b).copy()
-            out["shader"] = Shader.GLASS
-            return out
-        return a
+        if not isinstance(a, Composed) and not isinstance(b, Composed):
+            if a["shader"] == Shader.DIFFUSE and b["shader"] == Shader.GLOSSY:
+                self.report(f"Mix Shader by {source.bl_label} rendered as Principled")
+                out = a.copy()
+                out["shader"] = Shader.PRINCIPLED
+                for name in ("roughness", "roughness_texture", "roughness_channel"):
+                    out[name] = b[name]
+                if source.type == "FRESNEL":
+                    out["ior"] = self.reader.constant(source.inputs["IOR"])[0]
+                else:  # Layer Weight: blend b stands for an index of refraction of 1 / (1 - b)
+                    out["ior"] = 1 / (1 - min(float(self.reader.constant(source.inputs["Blend"])[0]), 0.9))
+                return out
+            if {int(a["shader"]), int(b["shader"])} == {int(Shader.REFRACTION), int(Shader.GLOSSY)}:
+                self.report(f"Mix Shader by {source.bl_label} rendered as Glass")
+                out = (a if a["shader"] == Shader.REFRACTION else b).copy()
+                out["shader"] = Shader.GLASS
+                return out
+        self.report(f"Mix Shader by {source.bl_label}: half of each, at any angle")
+        return unsure(self._mix(a, b, HALF))
 
 
-def _albedo(record: Records) -> float:
-    return float(record["base_color"].mean())
+def _is_clear(record: Records) -> bool:
+    return bool(record["shader"] == Shader.TRANSPARENT and np.abs(record["base_color"] - 1).max() <= 1e-3 and record["base_color_texture"] < 0)
+
+
+def _both_textured(emitter: Records, tree: Tree) -> bool:
+    """Whether some leaf cannot take the emission on."""
+    return any(_clash(emitter, leaf) for leaf in leaves(tree))
+
+
+def _clash(a: Records, b: Records) -> bool:
+    both = a["emission"].any() and b["emission"].any()
+    return bool(both and (a["emission_texture"] >= 0 or b["emission_texture"] >= 0))
+
+
+def _add_emission(record: Records, emitter: Records) -> None:
+    record["emission"] += emitter["emission"]
+    if emitter["emission"].any():
+        record["emission_texture"] = emitter["emission_texture"]

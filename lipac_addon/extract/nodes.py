@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.scene import RayType
 from .textures import EXTENSIONS, ImageUse, TextureTable
 
 Array = NDArray[np.float32]
@@ -33,6 +34,25 @@ class Value:
         """As a float socket gets it: a colour's luminance (Rec.709)."""
         r, g, b = self.factor
         return r if r == g == b else float(np.dot(LUMINANCE, self.factor))
+
+
+@dataclass(frozen=True)
+class View:
+    """What looks at a material. ray: `core.scene.RayType`, or LIGHT_VIEW for light sampling; back: at its back."""
+
+    ray: int
+    back: bool
+
+
+_ON = {  # outputs of Light Path that are 1, by what looks; those of other flags are 0
+    "Is Camera Ray": {RayType.CAMERA},
+    "Is Shadow Ray": {RayType.SHADOW},
+    "Is Diffuse Ray": {RayType.DIFFUSE},
+    "Is Glossy Ray": {RayType.GLOSSY, RayType.TRANSMISSION},  # Cycles means what is not diffuse
+    "Is Reflection Ray": {RayType.DIFFUSE, RayType.GLOSSY},
+    "Is Transmission Ray": {RayType.TRANSMISSION},
+    "Is Volume Scatter Ray": set[RayType](),
+}
 
 
 def grey(value: float) -> Value:
@@ -92,11 +112,22 @@ MATH: dict[str, Callable[..., Any]] = {
 
 
 class Reader:
-    """Reads the sockets of one inlined tree."""
+    """Reads the sockets of one inlined tree, as one view sees them.
 
-    def __init__(self, textures: TextureTable, report: Callable[[str], None]) -> None:
+    asked: whether anything depended on the view. doubts: how many values so far are but stand-ins for others.
+    """
+
+    def __init__(self, textures: TextureTable, report: Callable[[str], None], view: View) -> None:
         self.textures = textures
         self.report = report
+        self.view = view
+        self.asked = False
+        self.doubts = 0
+
+    def doubt(self, line: str) -> None:
+        """Report a value that is but a stand-in."""
+        self.doubts += 1
+        self.report(line)
 
     # Values
 
@@ -114,7 +145,7 @@ class Reader:
         """(3,) of an input that the core takes untextured: the mean where an image is linked, and a report."""
         value = self.value(socket)
         if value.use is not None:
-            self.report(f"texture on {what or socket.name} replaced by its average")
+            self.doubt(f"texture on {what or socket.name} replaced by its average")
             return self.pixels(value)[..., :3].reshape(-1, 3).mean(axis=0).astype(np.float64)
         return np.array(value.factor)
 
@@ -144,7 +175,7 @@ class Reader:
         for v in values:
             pixels = self.pixels(v)
             if v.use is not None and first is not None and not self._aligned(v.use, first):
-                self.report("images with different placement are combined: one is replaced by its average")
+                self.doubt("images with different placement are combined: one is replaced by its average")
                 pixels = pixels.mean(axis=(0, 1), keepdims=True)
             arrays.append(pixels[..., :3])
         with np.errstate(all="ignore"):
@@ -175,7 +206,7 @@ class Reader:
 
     def average(self, node: Any, color: Any) -> Value:
         """Stand-in for a node that the engine does not evaluate."""
-        self.report(f"{node.bl_label} node replaced by a constant")
+        self.doubt(f"{node.bl_label} node replaced by a constant")
         return Value(tuple(float(c) for c in np.broadcast_to(np.asarray(color, float), 3)))  # type: ignore[arg-type]
 
     def _output(self, node: Any, socket: Any) -> Value:
@@ -198,12 +229,31 @@ class Reader:
     def node_value(self, node: Any, socket: Any) -> Value:
         return grey(socket.default_value)
 
+    def node_light_path(self, node: Any, socket: Any) -> Value | None:
+        self.asked = True
+        if socket.name in _ON:
+            return grey(float(self.view.ray in _ON[socket.name]))
+        mirrored = self.view.ray in {RayType.GLOSSY, RayType.TRANSMISSION}
+        if (socket.name == "Is Singular Ray" and not mirrored) or (socket.name.endswith("Depth") and self._straight(socket.name)):
+            return grey(0.0)
+        return None
+
+    def _straight(self, name: str) -> bool:
+        return self.view.ray == RayType.CAMERA and name != "Transparent Depth"
+
+    def node_new_geometry(self, node: Any, socket: Any) -> Value | None:
+        if socket.name != "Backfacing":
+            return None
+        self.asked = True
+        return grey(float(self.view.back))
+
     def node_tex_image(self, node: Any, socket: Any) -> Value:
         if node.projection != "FLAT":
-            self.report(f"{node.projection.lower()} projection of image {node.image.name if node.image else ''!r} replaced by UVs")
+            self.doubt(f"{node.projection.lower()} projection of image {node.image.name if node.image else ''!r} replaced by UVs")
         uv_map, matrix = self.placement(node.inputs["Vector"])
         alpha_read = node.outputs["Alpha"].is_linked
         source = self.textures.image(node.image, not alpha_read)
+        self.doubts += not self.textures.sources[source].exact
         use = ImageUse(source, self.textures.uv_map(uv_map), matrix, int(EXTENSIONS[node.extension]), node.interpolation == "Closest")
         return Value((1.0, 1.0, 1.0), use, ALPHA if socket.name == "Alpha" else None)
 
@@ -370,7 +420,7 @@ class Reader:
                 return name, step @ m
         if node.type == "ATTRIBUTE" and node.attribute_type == "GEOMETRY":
             return node.attribute_name, identity
-        self.report(f"texture coordinates of {node.bl_label} ({output.name}) replaced by UVs")
+        self.doubt(f"texture coordinates of {node.bl_label} ({output.name}) replaced by UVs")
         return "", identity
 
     def _mapping(self, node: Any) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,11 +30,12 @@ class ImageUse:
 
 @dataclass
 class Pixels:
-    """(H, W, 4) uint8 or float32, rows bottom up; srgb: encoded; lines: what Blender shows differently."""
+    """(H, W, 4) uint8 or float32, rows bottom up; srgb: encoded; lines: what Blender shows differently; exact: False where it may show another picture."""
 
     data: U8 | F32
     srgb: bool
     lines: tuple[str, ...] = ()
+    exact: bool = True
 
 
 def _magenta(line: str) -> Pixels:
@@ -56,6 +58,7 @@ class TextureTable:
         self.uv_maps = [""]
         self.sources: list[Pixels] = []
         self._known: dict[tuple[str, bool], int] = {}
+        self._made: dict[tuple[tuple[int, ...], bytes], int] = {}
         self._uses: dict[ImageUse, int] = {}
 
     def uv_map(self, name: str) -> int:
@@ -85,8 +88,8 @@ class TextureTable:
         width, height = image.size  # loads the file
         if width == 0 or height == 0 or len(image.pixels) < width * height * image.channels:
             return _magenta(f"image {image.name!r} is missing ({image.filepath or 'no file'}): magenta, as in Cycles")
-        lines = []
-        if image.source in {"TILED", "SEQUENCE", "MOVIE"}:
+        lines, exact = [], image.source not in {"TILED", "SEQUENCE", "MOVIE"}
+        if not exact:
             lines.append(f"image {image.name!r}: of {image.source.lower()} images only the first picture is used")
         data = np.empty(width * height * image.channels, np.float32)
         image.pixels.foreach_get(data)
@@ -105,13 +108,17 @@ class TextureTable:
         elif associate and image.alpha_mode == "STRAIGHT" and not image.colorspace_settings.is_data:
             data[:, :, :3] *= data[:, :, 3:]
         if image.is_float:
-            return Pixels(data, False, tuple(lines))
-        return Pixels((data * 255.0 + 0.5).astype(np.uint8), space not in LINEAR, tuple(lines))
+            return Pixels(data, False, tuple(lines), exact)
+        return Pixels((data * 255.0 + 0.5).astype(np.uint8), space not in LINEAR, tuple(lines), exact)
 
     def add(self, data: F32) -> int:
-        """Index of pixels made here: (H, W, 4) float32, linear."""
-        self.sources.append(Pixels(np.ascontiguousarray(data, np.float32), False))
-        return len(self.sources) - 1
+        """Index of pixels made here, the same for the same ones: (H, W, 4) float32, linear."""
+        data = np.ascontiguousarray(data, np.float32)
+        key = data.shape, hashlib.sha256(data).digest()
+        if key not in self._made:
+            self._made[key] = len(self.sources)
+            self.sources.append(Pixels(data, False))
+        return self._made[key]
 
     def linear(self, use: ImageUse) -> F32:
         """(H, W, 4) linear pixels of an image."""

@@ -288,6 +288,61 @@ def test_textures_and_normal_maps(stage: Any, tmp_path: Path) -> None:
     check(tmp_path, samples=16)
 
 
+def blend(node: str, factor: Any, first: Any, second: Any) -> Any:
+    """A material of a Mix or Add Shader of two shader nodes, given as (type, inputs). factor: None, a number, (type of a node, output), or pixels."""
+    material = bpy.data.materials.new("blend")
+    tree = material.node_tree
+    tree.nodes.clear()
+    output, mix = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new(node)
+    for (kind, inputs), socket in zip((first, second), list(mix.inputs)[-2:], strict=True):
+        part = tree.nodes.new(kind)
+        if hasattr(part, "distribution"):
+            part.distribution = "GGX"
+        for name, value in inputs.items():
+            part.inputs[name].default_value = value
+        tree.links.new(part.outputs[0], socket)
+    if isinstance(factor, tuple):
+        tree.links.new(tree.nodes.new(factor[0]).outputs[factor[1]], mix.inputs[0])
+    elif isinstance(factor, np.ndarray):
+        tree.links.new(picture_node(tree, factor, "Non-Color").outputs[0], mix.inputs[0])
+    elif factor is not None:
+        mix.inputs[0].default_value = factor
+    tree.links.new(mix.outputs[0], output.inputs[0])
+    return material
+
+
+Part = tuple[str, dict[str, Any]]
+RED, GREEN = ("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.2, 0.1, 1)}), ("ShaderNodeBsdfDiffuse", {"Color": (0.1, 0.7, 0.2, 1)})
+CLEAR: Part = ("ShaderNodeBsdfTransparent", {})
+TINTED: Part = ("ShaderNodeBsdfTransparent", {"Color": (0.3, 0.9, 0.6, 1)})
+MIRROR, GLASS = ("ShaderNodeBsdfAnisotropic", {"Roughness": 0.1}), ("ShaderNodeBsdfGlass", {"Roughness": 0.1})
+
+
+def test_mixes_of_unlike_shaders(stage: Any, tmp_path: Path) -> None:
+    world((0.3, 0.3, 0.4))
+    lamp("SUN", (1, -2, 3), 3, angle=0.1)
+    pattern = np.ones((4, 4, 4))
+    pattern[..., :3] = np.random.default_rng(0).random((4, 4, 1)).round(1)
+    paint("Plane", blend("ShaderNodeMixShader", pattern, RED, MIRROR))
+    paint("Cube", blend("ShaderNodeMixShader", 0.4, GLASS, TINTED))
+    paint("Sphere", blend("ShaderNodeAddShader", None, GREEN, TINTED))
+    check(tmp_path, samples=32)
+
+
+def test_mixes_by_rays_and_sides(stage: Any, tmp_path: Path) -> None:
+    """What is clear to the camera alone, what is cut away, what shines otherwise than it looks, what blocks no light."""
+    world((0.2, 0.2, 0.3))
+    lamp("AREA", (2, -2, 3), 150, size=1.5)
+    paint("Cube", blend("ShaderNodeMixShader", ("ShaderNodeNewGeometry", "Backfacing"), CLEAR, RED))
+    paint("Sphere", blend("ShaderNodeMixShader", ("ShaderNodeLightPath", "Is Camera Ray"), GREEN, CLEAR))
+    bright, dim = (("ShaderNodeEmission", {"Strength": strength}) for strength in (6.0, 0.5))
+    bpy.ops.mesh.primitive_plane_add(size=1.0, location=(-0.5, 2.5, 1.0), rotation=(1.3, 0, 0))
+    bpy.context.object.data.materials.append(blend("ShaderNodeMixShader", ("ShaderNodeLightPath", "Is Camera Ray"), bright, dim))
+    bpy.ops.mesh.primitive_plane_add(size=1.5, location=(1.6, -1.6, 1.2))
+    bpy.context.object.data.materials.append(blend("ShaderNodeMixShader", ("ShaderNodeLightPath", "Is Shadow Ray"), RED, CLEAR))
+    check(tmp_path, samples=16)
+
+
 @pytest.mark.parametrize(("name", "samples"), [("kitchen", 16), ("indoor", 4), ("rooms1024", 8), ("candela_city", 4)])
 def test_supplied_scenes(tmp_path, name, samples):
     path = SHARED / f"{name}.blend"

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.scene import MATERIAL, Extension, Records, Shader, Textures, default_material
+from lipac.core.scene import MATERIAL, VIEWS, Extension, RayType, Records, Shader, Textures, default_material
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.extract.materials import MaterialTable
 from lipac.lipac_addon.extract.textures import TextureTable, srgb_to_linear
@@ -37,11 +37,19 @@ class Tree:
                 node.inputs[key].default_value = value
         return node
 
-    def record(self, surface: Any) -> tuple[Records, Textures, list[str]]:
-        self.tree.links.new(surface.outputs[0], self.output.inputs["Surface"])
+    def parts(self, surface: Any) -> tuple[Records, Textures, list[str]]:
+        """The record of the material, and of its parts, where it has any."""
+        if surface is not None:
+            self.tree.links.new(surface.outputs[0], self.output.inputs["Surface"])
         textures = TextureTable(print)
         table = MaterialTable(textures)
-        return table.records[table.index(self.material)], textures.build(), list(table.approximated)
+        table.index(self.material)
+        return table.build(), textures.build(), list(table.approximated)
+
+    def record(self, surface: Any) -> tuple[Records, Textures, list[str]]:
+        records, textures, lines = self.parts(surface)
+        assert len(records) == 1
+        return records[0], textures, lines
 
 
 def image(pixels: np.ndarray, name: str = "image", data: bool = False, floats: bool = False) -> Any:
@@ -187,32 +195,124 @@ def test_groups_and_arithmetic_fold() -> None:
 
 
 def test_shader_combinations() -> None:
-    """Transparent becomes alpha, Emission an emission, equal models their average; unequal ones the larger, reported."""
+    """Transparent becomes a Principled's alpha, Emission the emission of plain shaders; all else shows either part, by its share, unreported."""
     t = Tree()
     a = t.new("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.4, 0.2, 1)})
-    b = t.new("ShaderNodeBsdfDiffuse", {"Color": (0.0, 0.0, 0.2, 1)})
-    clear, lamp = t.new("ShaderNodeBsdfTransparent"), t.new("ShaderNodeEmission", {"Strength": 2.0})
-    glossy = t.new("ShaderNodeBsdfAnisotropic")
+    principled, lamp = t.new("ShaderNodeBsdfPrincipled"), t.new("ShaderNodeEmission", {"Strength": 2.0})
+    clear, glossy = t.new("ShaderNodeBsdfTransparent"), t.new("ShaderNodeBsdfAnisotropic")
 
-    def mix(factor: float, first: Any, second: Any) -> tuple[Records, Textures, list[str]]:
-        return t.record(t.new("ShaderNodeMixShader", {0: factor, 1: first.outputs[0], 2: second.outputs[0]}))
+    def mix(factor: float, first: Any, second: Any) -> Records:
+        parts, _, lines = t.parts(t.new("ShaderNodeMixShader", {0: factor, 1: first.outputs[0], 2: second.outputs[0]}))
+        assert not lines
+        return parts
 
-    record, _, lines = mix(0.3, clear, a)
-    assert (record["shader"], record["alpha"], lines) == (Shader.DIFFUSE, np.float32(0.3), [])
-    record, _, lines = mix(0.3, a, clear)
-    assert (record["shader"], record["alpha"], lines) == (Shader.DIFFUSE, np.float32(0.7), [])
-    record, _, lines = mix(0.25, a, b)
-    np.testing.assert_allclose(record["base_color"], [0.6, 0.3, 0.2], rtol=1e-6)
-    assert len(lines) == 1
-    record, _, lines = mix(0.25, a, lamp)
+    assert [float(record["alpha"]) for factor, *two in ((0.3, clear, principled), (0.7, principled, clear)) for record in mix(factor, *two)] == [
+        np.float32(0.3),
+        np.float32(0.3),
+    ]
+    record = mix(0.25, a, lamp)[0]
     np.testing.assert_allclose(record["emission"], [0.5, 0.5, 0.5], rtol=1e-6)
     np.testing.assert_allclose(record["base_color"], [0.6, 0.3, 0.15], rtol=1e-6)
-    record, _, lines = mix(0.7, a, glossy)
+    for first, second, shaders in ((clear, a, (5, 1)), (a, clear, (1, 5)), (a, glossy, (1, 2)), (principled, lamp, (0, 4)), (principled, principled, (0, 0))):
+        head, *below = mix(0.7, first, second)
+        assert (head["shader"], head["alpha"], head["parts"].tolist()) == (Shader.MIX, np.float32(0.7), [1, 2])
+        assert tuple(part["shader"] for part in below) == shaders
+        assert head["emission"].tolist() == ([2, 2, 2] if second is lamp else [0, 0, 0])
+    record = mix(1.0, a, glossy)[0]
     assert record["shader"] == Shader.GLOSSY
-    assert "larger weight" in lines[0]
-    assert mix(1.0, a, glossy)[2] == []
-    record, _, lines = t.record(t.new("ShaderNodeAddShader", {0: a.outputs[0], 1: lamp.outputs[0]}))
-    assert (record["shader"], float(record["emission"][0]), lines) == (Shader.DIFFUSE, 2.0, [])
+    parts, _, lines = t.parts(t.new("ShaderNodeAddShader", {0: a.outputs[0], 1: lamp.outputs[0]}))
+    assert (len(parts), parts[0]["shader"], float(parts[0]["emission"][0]), lines) == (1, Shader.DIFFUSE, 2.0, [])
+    (head, one, two), _, lines = t.parts(t.new("ShaderNodeAddShader", {0: a.outputs[0], 1: clear.outputs[0]}))
+    assert (head["alpha"], two["shader"], lines) == (0.5, Shader.TRANSPARENT, [])
+    np.testing.assert_allclose(one["base_color"], [1.6, 0.8, 0.4])
+
+
+def test_a_mix_of_mixes_refers_to_its_own_parts() -> None:
+    """Whatever else is in the table."""
+    t = Tree()
+    kinds = ("Diffuse", "Transparent", "Glass", "Translucent")
+    nodes = [t.new(f"ShaderNodeBsdf{kind}") for kind in kinds]
+    for one in nodes[1:]:
+        nodes.append(t.new("ShaderNodeMixShader", {0: 0.5, 1: nodes[-1].outputs[0] if len(nodes) > 4 else nodes[0].outputs[0], 2: one.outputs[0]}))
+    t.tree.links.new(nodes[-1].outputs[0], t.output.inputs["Surface"])
+    table = MaterialTable(TextureTable(print))
+    indices = [table.index(None), table.index(t.material)]
+    assert indices == [0, 1]
+    records = table.build()
+    at, found = 1, []
+    while records[at]["shader"] == Shader.MIX:
+        at, leaf = records[at]["parts"]
+        found.append(Shader(int(records[leaf]["shader"])))
+    assert found == [Shader.TRANSLUCENT, Shader.GLASS, Shader.TRANSPARENT]
+    assert records[at]["shader"] == Shader.DIFFUSE
+
+
+def views(rays: Any) -> list[set[int]]:
+    """What sees the second part: ray types from the front, and from the back."""
+    return [{k for k in range(VIEWS) if int(rays) >> (k + side) & 1} for side in (0, VIEWS)]
+
+
+def test_rays_and_sides_are_told_apart() -> None:
+    """By Light Path, also through arithmetic, and by Backfacing: each ray sees what Cycles shows it, unreported."""
+    t = Tree()
+    clear, solid = t.new("ShaderNodeBsdfTransparent"), t.new("ShaderNodeBsdfDiffuse")
+    light, geometry = t.new("ShaderNodeLightPath"), t.new("ShaderNodeNewGeometry")
+    either = t.new("ShaderNodeMath", {0: light.outputs["Is Camera Ray"], 1: light.outputs["Is Reflection Ray"]}, operation="MAXIMUM")
+    for factor, front, back in (
+        (light.outputs["Is Camera Ray"], {RayType.CAMERA}, {RayType.CAMERA}),
+        (light.outputs["Is Shadow Ray"], {RayType.SHADOW}, {RayType.SHADOW}),
+        (either.outputs[0], {0, 1, 2}, {0, 1, 2}),
+        (geometry.outputs["Backfacing"], set(), set(range(VIEWS))),
+    ):
+        (head, *parts), _, lines = t.parts(t.new("ShaderNodeMixShader", {0: factor, 1: solid.outputs[0], 2: clear.outputs[0]}))
+        assert not lines
+        assert head["shader"] == Shader.BY_RAY
+        shaders = [int(part["shader"]) for part in parts]
+        sees = views(head["rays"])
+        if shaders == [Shader.TRANSPARENT, Shader.DIFFUSE]:  # the first part is what camera rays see
+            sees = [set(range(VIEWS)) - side for side in sees]
+        assert sees == [front, back]
+    record = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Alpha": light.outputs["Is Shadow Ray"]}))[0]
+    assert [float(part["alpha"]) for part in record[1:]] == [0, 1]
+
+
+@pytest.mark.parametrize("kind", ["TexNoise", "VertexColor", "ObjectInfo", "CameraData"])
+def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
+    """A share, an alpha or a transmission by what the tracer does not evaluate: a half, marked as unsure, and reported; other inputs are not."""
+    t = Tree()
+    source = t.new(f"ShaderNode{kind}").outputs
+    value = next(s for s in source if s.type == "VALUE" and s.name not in {"Alpha"}) if kind != "VertexColor" else source[0]
+    clear = t.new("ShaderNodeBsdfTransparent")
+    for factor in (value, t.new("ShaderNodeMath", {0: value, 1: 0.1}, operation="MULTIPLY").outputs[0]):
+        (head, *parts), _, lines = t.parts(t.new("ShaderNodeMixShader", {0: factor, 1: clear.outputs[0], 2: t.new("ShaderNodeBsdfPrincipled").outputs[0]}))
+        assert (head["shader"], head["alpha"], [int(part["unsure"]) for part in parts]) == (Shader.MIX, 0.5, [1, 1])
+        assert len(lines) == 1
+    for socket, field in (("Alpha", "alpha"), ("Transmission Weight", "transmission")):
+        (record,), _, _ = t.parts(t.new("ShaderNodeBsdfPrincipled", {socket: value}))
+        assert (record[field], record["unsure"]) == (0.5, 1)
+    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Roughness": value}))
+    assert (record["unsure"], len(lines)) == (0, 1)
+
+
+def test_alpha_of_an_image_elsewhere_is_not_known() -> None:
+    """An image that is not placed by UVs has its holes elsewhere."""
+    t = Tree()
+    for place, known in ((t.new("ShaderNodeUVMap"), True), (t.new("ShaderNodeTexCoord").outputs["Object"].node, False)):
+        output = place.outputs[0] if known else place.outputs["Object"]
+        node = t.new("ShaderNodeTexImage", {"Vector": output}, image=image(random_pixels()))
+        (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Alpha": node.outputs["Alpha"]}))
+        assert (record["unsure"], bool(lines), record["alpha_texture"] >= 0) == (not known, not known, known)
+
+
+def test_a_volume_alone_lets_light_pass() -> None:
+    """Half of it straight on; beside a surface that surface counts."""
+    t = Tree()
+    t.tree.links.new(t.new("ShaderNodeVolumeScatter").outputs[0], t.output.inputs["Volume"])
+    (head, clear, scatters), _, lines = t.parts(None)
+    assert (head["alpha"], clear["shader"], scatters["shader"], clear["unsure"]) == (0.5, Shader.TRANSPARENT, Shader.TRANSLUCENT, 1)
+    assert lines == ["material m: volume not rendered"]
+    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfDiffuse"))
+    assert (record["shader"], len(lines)) == (Shader.DIFFUSE, 1)
 
 
 def test_image_with_mapping() -> None:
