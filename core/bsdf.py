@@ -1,4 +1,4 @@
-"""Surface scattering as Cycles (Blender 5.2) models it: numba functions for one shading point.
+"""Surface scattering as Cycles models it, before and since Blender 5.3: numba functions for one shading point.
 
 Principled BSDF, Diffuse, Glossy, Glass, Refraction, Translucent and Transparent BSDF, with Multiscatter GGX where Blender offers it (its default).
 Sheen, subsurface, anisotropy, thin film and thin walls are not modelled. `bsdf_setup` turns a material into a list of lobes, each with a weight;
@@ -21,11 +21,13 @@ from numba import njit
 
 from .lobes import (
     BACKFACING,
+    BLENDER_5_3,
     C_COUNT,
     C_EMISSION,
     C_FRAME,
     C_HAS_EVAL,
     C_LOBES,
+    C_MODEL,
     C_PARAMS,
     C_TRANSPARENCY,
     CUTOFF,
@@ -46,6 +48,7 @@ from .lobes import (
     GLOSSY_RAYS,
     GLOSSY_SHADER,
     LOBE,
+    LOBE_ALBEDO,
     LOBE_ALPHA,
     LOBE_BUMPED,
     LOBE_EDGE,
@@ -112,9 +115,13 @@ from .scene import ALL_RAYS
 
 
 @njit(**INNER)
-def _beer(tint: float, depth: float, weight: float) -> float:
-    """What a coat of this weight lets through at optical depth `depth`; a tint above 1 at grazing angles is kept finite."""
-    return max(0.0, 1.0 + weight * (min(max(tint, 0.0) ** depth, 1e6) - 1.0))
+def _below_coat(c: Any, coat: float, keep: float, albedo: float, tint: float, depth: float) -> float:
+    """What layers below a coat of this weight get, in a channel. keep: what its reflection leaves, energy preservation included, and albedo: that of its
+    reflection without; the tint absorbs (Beer) at optical depth `depth`, and is kept finite where it is above 1."""
+    through = min(max(tint, 0.0) ** depth, 1e6)
+    if c[C_MODEL] != 0.0:  # coated and bare parts side by side
+        return clip(1.0 - coat * (1.0 - through * (1.0 - albedo)))
+    return clip(1.0 - coat * (1.0 - keep)) * max(0.0, 1.0 + coat * (through - 1.0))
 
 
 @njit(**INNER)
@@ -132,17 +139,19 @@ def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
         ior = max(c[C_PARAMS + P_COAT_IOR], 1.0)
         smooth = lift(c, c[C_FRAME + F_NS], c[C_FRAME + F_NS + 1], c[C_FRAME + F_NS + 2])  # a normal map bends what lies below, not the coat
         cos = c[C_FRAME] * smooth[0] + c[C_FRAME + 1] * smooth[1] + c[C_FRAME + 2] * smooth[2]
+        keep, albedo = 1.0, 0.0
         if reflective:
             o = add_lobe(c, REFLECTION, coat * wr, coat * wg, coat * wb, clip(c[C_PARAMS + P_COAT_ROUGHNESS]) ** 2, ior, smooth)
             if o >= 0:
                 set_tints(c, o, 1.0, 0.0)
-                keep = clip(1.0 - coat * (1.0 - set_schlick(c, o, normal_reflectance(ior), 1.0, 1.0, 1.0)))
-                wr, wg, wb = wr * keep, wg * keep, wb * keep
+                keep, _, _ = set_schlick(c, o, normal_reflectance(ior), 1.0, 1.0, 1.0)
+                albedo = c[o + LOBE_ALBEDO]
         # Beer's law along the refracted ray; the tint is that of perpendicular light.
         depth = 1.0 / math.sqrt(1.0 - (1.0 - cos * cos) / (ior * ior))
-        wr *= _beer(c[C_PARAMS + P_COAT_TINT], depth, coat)
-        wg *= _beer(c[C_PARAMS + P_COAT_TINT + 1], depth, coat)
-        wb *= _beer(c[C_PARAMS + P_COAT_TINT + 2], depth, coat)
+        tint = C_PARAMS + P_COAT_TINT
+        wr *= _below_coat(c, coat, keep, albedo, c[tint], depth)
+        wg *= _below_coat(c, coat, keep, albedo, c[tint + 1], depth)
+        wb *= _below_coat(c, coat, keep, albedo, c[tint + 2], depth)
     c[C_EMISSION], c[C_EMISSION + 1], c[C_EMISSION + 2] = wr, wg, wb
 
     rough = clip(c[C_PARAMS + P_ROUGHNESS]) ** 2
@@ -181,8 +190,8 @@ def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
         o = add_lobe(c, REFLECTION, wr, wg, wb, rough, eta, lifted)
         if o >= 0:
             set_tints(c, o, 1.0, 0.0)
-            keep = set_schlick(c, o, f0, tint_r, tint_g, tint_b)
-            wr, wg, wb = wr * keep, wg * keep, wb * keep
+            keep_r, keep_g, keep_b = set_schlick(c, o, f0, tint_r, tint_g, tint_b)
+            wr, wg, wb = wr * keep_r, wg * keep_g, wb * keep_b
 
     base_r, base_g, base_b = max(c[C_PARAMS + P_BASE], 0.0), max(c[C_PARAMS + P_BASE + 1], 0.0), max(c[C_PARAMS + P_BASE + 2], 0.0)
     add_diffuse(c, wr * base_r, wg * base_g, wb * base_b, clip(c[C_PARAMS + P_DIFFUSE_ROUGHNESS]), n)
@@ -210,7 +219,7 @@ def _metal(c: Any, o: int) -> None:
 def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -> None:
     """Fill closure from the material inputs at a point seen along frame[F_WI].
 
-    shader: `core.scene.Shader` (EMISSION and HOLDOUT scatter nothing); flags: BACKFACING and the caustics bits.
+    shader: `core.scene.Shader` (EMISSION and HOLDOUT scatter nothing); flags: BACKFACING, the caustics bits, BLENDER_5_3.
     """
     c = closure
     for k in range(3):
@@ -219,6 +228,7 @@ def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -
     for k in range(PARAMS):
         c[C_PARAMS + k] = params[k]
     c[C_COUNT] = 0.0
+    c[C_MODEL] = 1.0 if flags & BLENDER_5_3 else 0.0
     # In float64 unit vectors are unit to 1e-16; 1e-7 would show in the sharpest lobes.
     for k in range(0, FRAME, 3):
         x, y, z = np.float64(frame[k]), np.float64(frame[k + 1]), np.float64(frame[k + 2])  # numba: float() keeps float32
@@ -322,7 +332,7 @@ def _add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float, o
             if t > 0.0:
                 t /= max(cos_o, cos_i)
             lost = max(1.0 - c[o + LOBE_ALPHA] * math.pi - c[o + LOBE_ETA] * oren_nayar_g(cos_o), 0.0)
-            single = c[o + LOBE_ALPHA] + c[o + LOBE_ETA] * t
+            single = max(c[o + LOBE_ALPHA] + c[o + LOBE_ETA] * t, 0.0)  # rounding
             for k in range(3):
                 out[O_WEIGHT + k] += c[o + LOBE_WEIGHT + k] * shadow * cos_o * (single + c[o + LOBE_F0 + k] * lost)
         else:

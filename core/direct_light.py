@@ -22,6 +22,7 @@ from .path_state import (
     CLEAR,
     I_HITBOX_NEAREST,
     I_LAMPS_KNOWN,
+    I_SHADING,
     I_STRATEGY,
     I_TRANSPARENT,
     I_TRANSPARENT_SHADOWS,
@@ -150,7 +151,8 @@ def _emitted(s, w, instance, triangle, b1, b2, dx, dy, dz):
     w.radiance[2] = b
     if attenuates_emission(material):
         material_inputs(s.table, mesh, material, triangle, b1, b2, w.far_params)
-        bsdf_setup(w.far_closure, w.far_params, np.int64(load_u32(material + M_SHADER, 0)), w.far_frame, BACKFACING if back else 0)
+        flags = s.settings[I_SHADING] | (BACKFACING if back else 0)
+        bsdf_setup(w.far_closure, w.far_params, np.int64(load_u32(material + M_SHADER, 0)), w.far_frame, flags)
         for k in range(3):
             w.radiance[k] *= np.float32(w.far_closure[C_EMISSION + k])
 

@@ -10,7 +10,7 @@ from numba import njit
 
 from . import ggx_albedo
 from .sampling import INNER
-from .scene import RayType, Shader
+from .scene import RayType, Shader, Shading
 
 # params: evaluated material inputs. Each is the MATERIAL field of that name (times its texture); nothing is squared or premultiplied.
 P_BASE = 0  # base_color, 3 floats
@@ -39,6 +39,8 @@ FRAME = 12
 BACKFACING = 1  # the path met the back of the surface: inside of glass
 NO_REFLECTIVE_CAUSTICS = 2  # Cycles drops glossy lobes after a diffuse bounce when reflective caustics are off
 NO_REFRACTIVE_CAUSTICS = 4
+BLENDER_5_3 = 8  # Cycles' surface models as of Blender 5.3
+SHADING_FLAGS = {Shading.BLENDER_5_0: 0, Shading.BLENDER_5_3: BLENDER_5_3}
 
 # labels returned by bsdf_sample
 REFLECT, TRANSMIT, DIFFUSE, GLOSSY, SINGULAR, TRANSPARENT = 1, 2, 4, 8, 16, 32
@@ -56,7 +58,8 @@ C_TRANSPARENCY = 3  # 3 floats: share of light that passes straight through
 C_HAS_EVAL = 6  # 1 where sampling lights makes sense: some lobe is neither singular nor transparent
 # closure: the rest is private
 C_COUNT = 7  # lobes in use
-C_FRAME = 8  # copy of frame
+C_MODEL = 8  # 1: the surface models of Blender 5.3, 0: those before
+C_FRAME = 9  # copy of frame
 C_PARAMS = C_FRAME + FRAME  # copy of params
 C_LOBES = C_PARAMS + PARAMS
 
@@ -74,7 +77,8 @@ LOBE_EDGE = 15  # 3 floats, F82 darkening
 LOBE_TINT_R = 18  # 3 floats, of reflection
 LOBE_TINT_T = 21  # 3 floats, of transmission
 LOBE_BUMPED = 24  # 1 where the lobe's normal is not the smooth normal
-LOBE = 25
+LOBE_ALBEDO = 25  # largest reflectance of a channel, energy preservation left out
+LOBE = 26
 _MAX_LOBES = 6  # transparent, coat, metal, glass, specular, diffuse
 CLOSURE = C_LOBES + _MAX_LOBES * LOBE
 
@@ -99,12 +103,14 @@ PRINCIPLED, DIFFUSE_SHADER, GLOSSY_SHADER, GLASS_SHADER, TRANSPARENT_SHADER, REF
 )
 
 # Energy tables, one after the other: a kernel holds one constant and one kind of lookup, which halves its compile time.
-_NAMES = ("reflection", "reflection_mean", "glass", "glass_mean", "glass_inside", "glass_inside_mean", "schlick", "schlick_ior")
+_COARSE = ("reflection", "reflection_mean", "glass", "glass_mean", "glass_inside", "glass_inside_mean", "schlick", "schlick_ior")
+_NAMES = (*_COARSE, *(f"fine_{name}" for name in _COARSE))
 _loaded = ggx_albedo.load()
 _TABLES = np.concatenate([_loaded[name].ravel() for name in _NAMES])
-_SIZES = np.array([_loaded[name].shape for name in _NAMES])  # (8, 3) lengths of the axes z, cosine, roughness
+_SIZES = np.array([_loaded[name].shape for name in _NAMES])  # (16, 3) lengths of the axes z, y, roughness
 _OFFSETS = np.concatenate(([0], np.cumsum(_SIZES.prod(axis=1))[:-1]))
 _REFLECTION_E, _GLASS_E, _INSIDE_E, _SCHLICK_S, _SCHLICK_IOR_S = 0, 2, 4, 6, 7  # the mean of a table over cosines is the next one
+_FINE = len(_COARSE)  # from a table to its finer one
 
 
 @njit(**INNER)
@@ -202,8 +208,8 @@ def add_lobe(c: Any, kind: float, r: float, g: float, b: float, alpha: float, et
 
 
 @njit(**INNER)
-def layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float) -> float:
-    """Finish GGX lobe o: sampling weight, energy preservation. Returns the share of light that layers below it keep.
+def layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float) -> tuple[float, float, float]:
+    """Finish GGX lobe o: sampling weight, energy preservation. Returns the share of light that layers below it keep, by channel.
 
     fss: mean single-scattering Fresnel reflectance, which colours what bounces between microfacets (Kulla, Conty, "Revisiting physically based shading
     at Imageworks", 2017, as a multiplier on single scattering).
@@ -213,11 +219,13 @@ def layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float) -> float:
     eta = c[o + LOBE_ETA]
     z = math.sqrt(abs((eta - 1.0) / (eta + 1.0)))
     kind = c[o + LOBE_FRESNEL]
-    s = _lookup(_SCHLICK_IOR_S if kind == SCHLICK else _SCHLICK_S, z, cos, rough)
-    table = _REFLECTION_E if c[o + LOBE_KIND] == REFLECTION else (_INSIDE_E if eta < 1.0 else _GLASS_E)
-    e, mean = _lookup(table, z, cos, rough), _lookup(table + 1, z, 0.0, rough)
+    y, first = (math.sqrt(max(cos, 0.0)), _FINE) if c[C_MODEL] != 0.0 else (cos, 0)
+    s = _lookup(first + (_SCHLICK_IOR_S if kind == SCHLICK else _SCHLICK_S), z, y, rough)
+    table = first + (_REFLECTION_E if c[o + LOBE_KIND] == REFLECTION else (_INSIDE_E if eta < 1.0 else _GLASS_E))
+    e, mean = _lookup(table, z, y, rough), _lookup(table + 1, z, 0.0, rough)
     c[o + LOBE_SCALE] = 1.0 / e
-    albedo_sum, darkening_sum, keep = 0.0, 0.0, 1.0
+    albedo_sum, darkening_sum, albedo, most = 0.0, 0.0, 0.0, 0.0
+    dark_r = dark_g = dark_b = 1.0
     for k in range(3):
         fss = fss_r if k == 0 else (fss_g if k == 1 else fss_b)
         darkening = e + fss * mean / max(1.0 - fss * (1.0 - mean), 1e-6) * (1.0 - e)
@@ -228,15 +236,26 @@ def layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float) -> float:
             transmittance = (1.0 - f) * c[o + LOBE_TINT_T + k]
         albedo_sum += reflectance + transmittance
         darkening_sum += darkening
+        albedo = max(albedo, reflectance)
         if c[o + LOBE_WEIGHT + k] > 0.0:
-            keep = min(keep, 1.0 - darkening * reflectance)
+            most = max(most, darkening * reflectance)
         c[o + LOBE_WEIGHT + k] *= darkening
+        if k == 0:
+            dark_r = darkening
+        elif k == 1:
+            dark_g = darkening
+        else:
+            dark_b = darkening
     c[o + LOBE_PICK] *= albedo_sum / 3.0 * darkening_sum / 3.0
-    return clip(keep)
+    c[o + LOBE_ALBEDO] = albedo
+    if c[C_MODEL] != 0.0:
+        return clip(1.0 - dark_r * albedo), clip(1.0 - dark_g * albedo), clip(1.0 - dark_b * albedo)
+    keep = clip(1.0 - most)
+    return keep, keep, keep
 
 
 @njit(**INNER)
-def set_schlick(c: Any, o: int, f0: float, r: float, g: float, b: float) -> float:
+def set_schlick(c: Any, o: int, f0: float, r: float, g: float, b: float) -> tuple[float, float, float]:
     """Give lobe o Fresnel reflectance from f0 * (r, g, b) to 1 along the dielectric curve (tints set before), and finish it. Returns as `layer`."""
     c[o + LOBE_FRESNEL] = SCHLICK
     c[o + LOBE_F0], c[o + LOBE_F0 + 1], c[o + LOBE_F0 + 2] = clip(f0 * r), clip(f0 * g), clip(f0 * b)
@@ -261,7 +280,10 @@ def set_tints(c: Any, o: int, reflection: float, transmission: float) -> None:
 
 @njit(**INNER)
 def add_diffuse(c: Any, r: float, g: float, b: float, roughness: float, n: Any) -> None:
-    """Lambert, or Fujii's Oren-Nayar with multiple scattering coloured by the base colour (https://mimosa-pudica.net/improved-oren-nayar.html)."""
+    """Lambert, or Fujii's Oren-Nayar with multiple scattering coloured by the base colour (https://mimosa-pudica.net/improved-oren-nayar.html).
+
+    Cycles before Blender 5.3 takes the colour of what scatters more than once to a higher power.
+    """
     o = add_lobe(c, LAMBERT, r, g, b, 0.0, 1.0, n)
     if o < 0 or roughness < 1e-5:
         return
@@ -274,7 +296,8 @@ def add_diffuse(c: Any, r: float, g: float, b: float, roughness: float, n: Any) 
     c[o + LOBE_ALPHA], c[o + LOBE_ETA] = a, slope
     for k in range(3):
         albedo = clip(c[C_PARAMS + P_BASE + k])
-        c[o + LOBE_F0 + k] = albedo * albedo / math.pi * (mean / (1.0 - mean)) / (1.0 - albedo * (1.0 - mean)) * lost
+        tint = albedo if c[C_MODEL] != 0.0 else albedo * albedo
+        c[o + LOBE_F0 + k] = tint / math.pi * (mean / (1.0 - mean)) / (1.0 - albedo * (1.0 - mean)) * lost
 
 
 @njit(**INNER)

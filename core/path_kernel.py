@@ -64,6 +64,7 @@ from .path_state import (
     I_REFRACTIVE,
     I_SAMPLES,
     I_SEED,
+    I_SHADING,
     I_STRATEGY,
     I_TOTAL,
     I_TRANSMISSION,
@@ -237,7 +238,7 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             return
         material_inputs(s.table, mesh, material, triangle, b1, b2, w.params)
         apply_normal_map(s.table, mesh, m, material, triangle, b1, b2, back, w.frame)
-        flags = BACKFACING if back else 0
+        flags = s.settings[I_SHADING] | (BACKFACING if back else 0)
         if after_diffuse:
             if s.settings[I_REFLECTIVE] == 0:
                 flags |= NO_REFLECTIVE_CAUSTICS

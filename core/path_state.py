@@ -32,6 +32,7 @@ from .shading import SURF
     I_TRANSPARENT,
     I_REFLECTIVE,
     I_REFRACTIVE,
+    I_SHADING,
     I_TRANSPARENT_FILM,
     I_TRANSPARENT_SHADOWS,
     I_HITBOX_EVERY,
@@ -39,8 +40,8 @@ from .shading import SURF
     I_STRATEGY,
     I_LAMPS_KNOWN,
     I_CAMERAS,
-) = range(19)
-SETTINGS = 19
+) = range(20)
+SETTINGS = 20
 BOTH, LIGHT_ONLY, BSDF_ONLY = 0, 1, 2  # I_STRATEGY: for tests, all agree in the mean
 
 # limits, float32[LIMITS]: clamps (sum over channels, FAR where off), inverse of filter glossy (0: off), exposure, world colour

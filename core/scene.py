@@ -40,6 +40,18 @@ RAY_TYPES = len(RayType)
 ALL_RAYS = (1 << RAY_TYPES) - 1
 
 
+class Shading(IntEnum):
+    """Which Cycles' surface models are followed: they changed with Blender 5.3 (Oren-Nayar, coat, layers, tables of GGX)."""
+
+    BLENDER_5_0 = 0
+    BLENDER_5_3 = 1
+
+    @classmethod
+    def of(cls, version: Sequence[int]) -> Shading:
+        """Those of a version of Blender, such as (5, 2, 3)."""
+        return cls.BLENDER_5_3 if tuple(version) >= (5, 3) else cls.BLENDER_5_0
+
+
 class Shader(IntEnum):
     """BSDF model of a material (`MATERIAL["shader"]`)."""
 
@@ -264,7 +276,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class PathLimits:
-    """Bounce limits with Cycles' meaning (0 bounces: direct light only)."""
+    """Bounce limits with Cycles' meaning (0 bounces: direct light only), and whose surface models paths follow."""
 
     total: int = 12
     diffuse: int = 4
@@ -276,6 +288,7 @@ class PathLimits:
     clamp_direct: float = 0.0  # 0: off
     clamp_indirect: float = 0.0
     filter_glossy: float = 0.0
+    shading: Shading = Shading.BLENDER_5_0
 
 
 @dataclass(frozen=True)

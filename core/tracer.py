@@ -23,6 +23,7 @@ from .film import Picture, filter_offsets
 from .hitboxes import ALL_CROSSINGS, Hitboxes
 from .lamps import FAR
 from .lights import Lights, emissive_instances
+from .lobes import SHADING_FLAGS
 from .memory import address
 from .path_kernel import trace_tile
 from .path_log import PathLog
@@ -204,6 +205,7 @@ def _settings(
         state.I_TRANSPARENT: limits.transparent,
         state.I_REFLECTIVE: limits.caustics_reflective,
         state.I_REFRACTIVE: limits.caustics_refractive,
+        state.I_SHADING: SHADING_FLAGS[limits.shading],
         state.I_TRANSPARENT_FILM: scene.film.transparent,
         state.I_TRANSPARENT_SHADOWS: has_transparent_shadows(scene),
         state.I_HITBOX_EVERY: hitbox_every,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import bpy
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.scene import F32, F64, Camera, Film, PathLimits
+from ...core.scene import F32, F64, Camera, Film, PathLimits, Shading
 
 VIEW_DIRECTION = np.array([-0.6, 0.7, -0.4])  # of a framing camera: from the front, a little from the right and above
 NO_CAMERA = "the scene has no camera: add one and make it the scene's active camera"
@@ -24,10 +25,10 @@ def extract_film(scene: Any) -> Film:
 
 
 def extract_limits(scene: Any) -> PathLimits:
-    """Bounce limits and clamps from `scene.cycles`."""
+    """Bounce limits and clamps from `scene.cycles`, and the surface models of the Cycles that runs."""
     c = getattr(scene, "cycles", None)
     if c is None:
-        return PathLimits()
+        return PathLimits(shading=Shading.of(bpy.app.version))
     return PathLimits(
         c.max_bounces,
         c.diffuse_bounces,
@@ -39,6 +40,7 @@ def extract_limits(scene: Any) -> PathLimits:
         c.sample_clamp_direct,
         c.sample_clamp_indirect,
         c.blur_glossy,
+        Shading.of(bpy.app.version),
     )
 
 

@@ -24,7 +24,9 @@ from lipac.core.tracer import prepare, trace
 from lipac.lipac_addon.engines import render_blender
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
+from lipac.tests.stats import level
 
+pytestmark = pytest.mark.blender
 SHARED = Path(lipac.__file__).parent.parent / "shared" / "scenes"
 SEEDS = 8
 COLUMNS, ROWS = 8, 5
@@ -64,9 +66,9 @@ def compare(theirs, ours):
     freedom = (SEEDS - 1) * (variance[0] + variance[1]) ** 2 / (variance[0] ** 2 + variance[1] ** 2 + 1e-300)
     t = (ours.mean(0) - theirs.mean(0)) / np.sqrt(error2)
     p = 2 * stats.t.sf(np.abs(t), np.maximum(freedom, SEEDS - 1))
-    level = 1 - (1 - 0.01) ** (1 / p.size)
+    limit = level(p.size, 0.01)
     worst = np.unravel_index(p.argmin(), p.shape)
-    assert p.min() > level, f"tile {worst}: {ours.mean(0)[worst]:.5f} instead of {theirs.mean(0)[worst]:.5f}; {(p < level).sum()} of {p.size} differ"
+    assert p.min() > limit, f"tile {worst}: {ours.mean(0)[worst]:.5f} instead of {theirs.mean(0)[worst]:.5f}; {(p < limit).sum()} of {p.size} differ"
     # Tiles err to either side: their mean does not drift.
     assert abs(t[error2 > 1e-10].mean()) < 1.5
 
