@@ -197,6 +197,15 @@ def test_metal_plastic_glass(stage, tmp_path):
     check(tmp_path)
 
 
+def test_rough_diffuse_and_coat(stage, tmp_path):
+    """What Cycles changed between versions, in direct light: nearly no noise hides a model of another version."""
+    paint("Plane", shader("ShaderNodeBsdfDiffuse", Color=(0.8, 0.5, 0.2, 1), Roughness=1.0))
+    paint("Cube", shader("ShaderNodeBsdfPrincipled", Coat_Weight=1.0, Coat_Roughness=0.4, Coat_Tint=(0.9, 0.5, 0.4, 1)))
+    lamp("POINT", (1, -2, 3), 300, shadow_soft_size=0.05)
+    stage.cycles.max_bounces = 0
+    check(tmp_path, samples=4)
+
+
 def test_transparency(stage, tmp_path):
     world((0.3, 0.3, 0.4))
     lamp("SUN", (1, -2, 3), 3, angle=0.1)
