@@ -10,6 +10,7 @@ mask of the write-back addresses; deeper levels index nested instance clouds, or
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -39,6 +40,11 @@ class Keys:
 
     records: Records
     names: tuple[str, ...]
+
+
+def any_of(records: Records, others: Sequence[Records]) -> NDArray[np.bool_]:
+    """(N,) bool, records of KEY that are among others; names as in one table."""
+    return np.isin(packed(records), np.concatenate([packed(other) for other in others])) if others else np.zeros(len(records), bool)
 
 
 def packed(records: Records) -> NDArray[np.void]:

@@ -25,7 +25,7 @@ from .counting import counting
 from .engines import BLENDER_ENGINES, left_out, render_blender, render_path, samples_of
 from .extract import Extraction, Extractor
 from .hybrid import HybridOptions, render_hybrid
-from .keys import Keys
+from .keys import Keys, any_of
 from .shot_set import ShotSet
 
 if TYPE_CHECKING:
@@ -143,6 +143,7 @@ class Session:
         self.keep = job.engine in ("", "path") and len(job.frames) > 1  # other engines make Blender free the graph
         self._extractor: Extractor | None = None
         self._shot: Shot | None = None
+        self._pinned: np.ndarray | None = None  # what the frame needs at other moments of its exposure
 
     def __enter__(self) -> Session:
         return self
@@ -168,9 +169,26 @@ class Session:
         start = time.perf_counter()
         with muted():
             writeback.restore()
-            self._extractor = self._extractor or Extractor(bpy.context.scene)
+            self._extractor = self._extractor or Extractor(bpy.context.scene, exposed=self.job.engine in ("", *BLENDER_ENGINES))
             extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
+        self._pinned = None
         return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}
+
+    def expose(self, extraction: Extraction, frame: int, progress: Progress = silent, cancelled: Cancel = never) -> Extraction:
+        """Find out what a frame needs while its shutter is open and things are elsewhere: it stays, whatever the frame's own moment needs. Returns the frame as
+        it is, extracted anew where there was anything to find out."""
+        if not extraction.moments or self._extractor is None:
+            return extraction
+        needed = []
+        for k, moment in enumerate(extraction.moments):
+            with muted():
+                other = self._extractor.frame(frame, True, moment)
+            within = part(progress, k / len(extraction.moments), (k + 1) / len(extraction.moments), f"{moment:+.2g} frames: ")
+            needed.append(other.keys.records[self.decide(other, None, within, cancelled).active])
+        with muted():
+            extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
+        self._pinned = any_of(extraction.keys.records, needed)
+        return extraction
 
     def end_reading(self) -> None:
         """No frame follows: let go of what would tell it from the last one. Meshes of that can still be read."""
@@ -183,7 +201,7 @@ class Session:
 
         if self._shot is None:
             self._shot = Shot(self.job.options, independent=not self.job.warm)
-        return self._shot.advance(scene or extraction.scene, extraction.change, progress, cancelled)
+        return self._shot.advance(scene or extraction.scene, extraction.change, progress, cancelled, self._pinned)
 
 
 # Each frame by itself
@@ -210,9 +228,10 @@ def run_frame(session: Session, frame: int, report: Report, progress: Progress =
         report.add_frame(_render_whole(job, frame, progress))
         return
     extraction, entry = session.sync(frame)
+    check(cancelled)
+    extraction = session.expose(extraction, frame, part(progress, 0.0, ANALYSIS_SHARE), cancelled)
     if last:
         session.end_reading()
-    check(cancelled)
     approximated, warnings = extraction.scene.approximated, extraction.warnings
     if job.engine == "hybrid":
         result = _hybrid(job, extraction, entry, progress, cancelled, lambda scene: session.decide(extraction, scene, part(progress, 0.0, 0.3), cancelled))
@@ -357,6 +376,7 @@ def _analyse(job: Job, report: Report, progress: Progress, cancelled: Cancel) ->
             within = part(progress, k / len(todo), (k + 1) / len(todo), f"frame {frame}: ")
             extraction, entry = session.sync(frame)
             check(cancelled)
+            extraction = session.expose(extraction, frame, within, cancelled)
             result = session.decide(extraction, None, within, cancelled)
             entry |= result.stats
             keys = extraction.keys

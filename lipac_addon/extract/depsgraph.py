@@ -6,6 +6,7 @@ sees exists only inside a render. So a render is started with an engine of our o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any, ClassVar, TypeVar
@@ -28,13 +29,18 @@ class ExtractEngine(bpy.types.RenderEngine):
     bl_use_eevee_viewport = False
     callback: ClassVar[Callable[[Any, bool], None] | None] = None
     owner: ClassVar[object] = None  # whose callback it is
+    running: ClassVar[Any] = None  # the engine that renders now
     lipac_served: object = None  # whose it was last
 
     def render(self, depsgraph: Any) -> None:
         """Called by Blender, on the thread that started the render when in background. An engine that Blender keeps has kept its graph."""
         goes_on, self.lipac_served = self.lipac_served is ExtractEngine.owner, ExtractEngine.owner
         if ExtractEngine.callback is not None:
-            ExtractEngine.callback(depsgraph, goes_on)
+            ExtractEngine.running = self
+            try:
+                ExtractEngine.callback(depsgraph, goes_on)
+            finally:
+                ExtractEngine.running = None
 
 
 @contextmanager
@@ -156,6 +162,12 @@ class RenderGraph:
         finally:
             if not keep:
                 self.release()
+
+    @staticmethod
+    def move_to(frame: float) -> None:
+        """Within a callback: evaluate its graph at another frame, perhaps between two."""
+        whole = math.floor(frame)
+        ExtractEngine.running.frame_set(whole, frame - whole)
 
     def release(self) -> None:
         """Put the scene's settings back, and let Blender free the graph."""

@@ -10,7 +10,7 @@ import numpy as np
 from ...core.change import Change
 from ...core.errors import InputError
 from ...core.placing import scene_origin
-from ...core.scene import F32, I32, Camera, Records, Scene
+from ...core.scene import F32, I32, Records, Scene
 from ..keys import Keys, Kind
 from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera
 from .depsgraph import STAND_IN
@@ -20,6 +20,7 @@ from .instances import Placed, Placer
 from .lights import place_lamps
 from .meshes import LazyMeshes
 from .shading import Shading, ShadingReader, same_array
+from .shutter import Shutter, same_camera
 from .world import ExtractedWorld, extract_world
 
 
@@ -30,6 +31,7 @@ class Extraction:
     scene: what the engine renders. keys: one per instance, finds it again in Blender. warnings: one line each: what is wrong with the input.
     change: what differs from the frame that was extracted before; None for the first one. scatters: by the full name of each object that instances by
     geometry nodes, where its rows are: (R, 3) float32 in its own space, as path[0] of the keys numbers them.
+    moments: frames after this one, at which the shutter is open as well and other things are elsewhere (`Extractor.frame`).
     """
 
     scene: Scene
@@ -37,6 +39,7 @@ class Extraction:
     warnings: tuple[str, ...]
     change: Change | None = None
     scatters: dict[str, F32] = field(default_factory=dict)
+    moments: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,16 @@ class Frame:
     keys: Keys
     warnings: tuple[str, ...]
     scatters: dict[str, F32]
+    moments: tuple[float, ...] = ()
+
+    def exposed(self, shutter: Shutter) -> Frame:
+        """With the cameras of an exposure."""
+        origin = np.column_stack((np.zeros((3, 3)), self.placed.origin))
+        cameras = tuple(replace(camera, to_world=camera.to_world - origin) for camera in shutter.cameras)
+        lines = self.scene.approximated
+        if shutter.moments:
+            lines = (*lines, "motion blur: what moves was looked at where it is when the shutter opens, at the frame, and when it closes")
+        return replace(self, scene=replace(self.scene, shutter=cameras, approximated=lines), moments=shutter.moments)
 
 
 class SceneReader:
@@ -133,7 +146,7 @@ class SceneReader:
             shades = frame.shading is not shading or not _same_light(scene, last)
             change = Change(previous, moved, frame.deformed, frame.replaced, shades, not _same_view(scene, last))
         self._placed, self._last = frame.placed, (scene, frame.shading)
-        return Extraction(scene, frame.keys, warnings, change, frame.scatters)
+        return Extraction(scene, frame.keys, warnings, change, frame.scatters, frame.moments)
 
     @staticmethod
     def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, None]) -> Records:
@@ -162,11 +175,8 @@ def _same_light(a: Scene, b: Scene) -> bool:
 def _same_view(a: Scene, b: Scene) -> bool:
     """Whether camera and film are the same."""
     x, y = a.camera, b.camera
-    return bool(a.film == b.film and np.array_equal(a.origin, b.origin) and _same_camera(x, y))
-
-
-def _same_camera(a: Camera, b: Camera) -> bool:
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in Camera.__dataclass_fields__)
+    same = len(a.shutter) == len(b.shutter) and all(same_camera(*pair) for pair in zip((x, *a.shutter), (y, *b.shutter), strict=True))
+    return bool(a.film == b.film and np.array_equal(a.origin, b.origin) and same)
 
 
 def extract(depsgraph: Any, world: ExtractedWorld | None = None, allow_no_camera: bool = False) -> Extraction:

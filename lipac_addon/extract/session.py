@@ -11,6 +11,7 @@ from ...core.errors import InputError
 from .camera import NO_CAMERA
 from .depsgraph import RenderGraph
 from .scene import Extraction, Frame, SceneReader
+from .shutter import Shutter, read_shutter
 from .world import ExtractedWorld, baked_world, constant_world, fingerprint
 
 
@@ -27,13 +28,17 @@ class Extractor:
     read_s: seconds of the last frame that were ours; the others are Blender's, for evaluating it.
     """
 
-    def __init__(self, scene: Any, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None) -> None:
-        """scene: bpy.types.Scene; view_layer: name, None takes the first that is used for rendering; world: instead of the scene's own, for all frames."""
+    def __init__(
+        self, scene: Any, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None, exposed: bool = True
+    ) -> None:
+        """scene: bpy.types.Scene; view_layer: name, None takes the first that is used for rendering; world: instead of the scene's own, for all frames.
+        exposed: the camera moves while the shutter is open, where the scene has motion blur; else pictures are of one moment."""
         share()
         self.scene = scene
         self.allow_no_camera = allow_no_camera
         self._graph = RenderGraph(scene, view_layer)
         self._reader = SceneReader(allow_no_camera)
+        self._exposed, self._at, self._shutter = exposed, 0.0, Shutter()
         self._given, self._world, self._fingerprint = world, world, ""
         self.read_s = 0.0
 
@@ -43,16 +48,25 @@ class Extractor:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.release()
 
-    def frame(self, number: int | None = None, keep: bool = True) -> Extraction:
+    def frame(self, number: int | None = None, keep: bool = True, at: float = 0.0) -> Extraction:
         """A frame, by default the scene's current one, which it then is. keep: hold the graph for the next frame, until `release`.
 
+        at: what is where so many frames later, seen by the cameras of the frame itself, which must have been extracted just before; what moves is there at one
+        of `Extraction.moments`.
         Raises InputError: no camera, an unsupported camera, nothing to render, the scene cannot be rendered.
         """
         if number is not None and number != self.scene.frame_current:
             self.scene.frame_current = number
         if self.scene.camera is None and not self.allow_no_camera:
             raise InputError(NO_CAMERA)
-        frame, world, mark = self._graph.evaluate(self._read, keep)
+        own, self._at = self.scene.frame_float, at
+        try:
+            if at:
+                self.scene.frame_float = self.scene.frame_current + at
+            frame, world, mark = self._graph.evaluate(self._read, keep)
+        finally:
+            if at:
+                self.scene.frame_float = own
         if world is None:
             if self._world is None or mark != self._fingerprint:
                 self._world = self._bake()
@@ -81,6 +95,10 @@ class Extractor:
         if world is None:
             world = constant_world(item)
         frame = self._reader.read(depsgraph, goes_on)
+        if self._exposed and not self._at:
+            number = depsgraph.scene_eval.frame_current
+            self._shutter = read_shutter(depsgraph, frame.scene.film, lambda time: self._graph.move_to(number + time))
+        frame = frame.exposed(self._shutter)
         self.read_s = time.perf_counter() - start
         return frame, world, "" if world is not None else fingerprint(item, depsgraph.scene_eval.frame_current)
 

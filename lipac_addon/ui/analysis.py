@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import bpy
 
 from ...core.errors import InputError
+from ..keys import any_of
 from . import applying, engine, props, results, scatters, session
 from .background import AskedMeshes, in_thread
 from .job import Job
 
 if TYPE_CHECKING:
     from ...core.frames import Shot
+    from ...core.scene import Records
     from ..extract import Extraction, Extractor
 
 
@@ -123,11 +126,16 @@ class AnalysisJob(Job):
             yield
         scene, self._set_frame = self._scene(), number
         extraction = self._extract(scene, number)
+        shot = self._shot = self._shot or Shot(props.cull_options(scene.lipac))
+        needed = yield from self._exposed(shot, extraction, number)
+        if needed:
+            extraction = self._extract(scene, number)
         uids = results.session_uids(extraction.keys)
         pinned = props.pinned(extraction.keys, uids)
+        if needed:
+            pinned = any_of(extraction.keys.records, needed) | (False if pinned is None else pinned)
         hosts = [uid for name, uid in zip(extraction.keys.names, uids.tolist(), strict=True) if name in extraction.scatters]
         prints = scatters.prints_of(scene, hosts)
-        shot = self._shot = self._shot or Shot(props.cull_options(scene.lipac))
         meshes = AskedMeshes(extraction.scene.meshes)
 
         def report(fraction: float, what: str) -> None:
@@ -137,6 +145,20 @@ class AnalysisJob(Job):
         result = yield from in_thread(lambda: shot.advance(asked, extraction.change, report, lambda: self.cancelled, pinned), self.cancel, meshes)
         self._check()
         return replace(results.FrameResult.of(number, extraction, uids, result), prints=prints)
+
+    def _exposed(self, shot: Shot, extraction: Extraction, number: int) -> Generator[None, None, list[Records]]:
+        """Keys of what the frame needs at other moments of its exposure, a part for each."""
+        needed = []
+        for moment in extraction.moments:
+            assert self._extractor is not None
+            other = self._extractor.frame(number, keep=False, at=moment)
+            meshes = AskedMeshes(other.scene.meshes)
+            asked, change = replace(other.scene, meshes=meshes), other.change
+            advance = partial(shot.advance, asked, change, cancelled=lambda: self.cancelled)
+            result = yield from in_thread(advance, self.cancel, meshes)
+            self._check()
+            needed.append(other.keys.records[result.active])
+        return needed
 
     def _extract(self, scene: bpy.types.Scene, number: int) -> Extraction:
         """What a render sees of the frame."""

@@ -23,6 +23,7 @@ FIELD = Path(lipac.__file__).parent / ".." / "shared" / "cases" / "field"
         ("t_camwall", 60, None),
         ("t_backface", 60, None),
         ("t_cloudbox", 60, "material cloud: volume not rendered"),
+        ("t_whip", 60, None),
     ],
 )
 def test_what_shows_through_stays(name: str, most: int, said: str | None, tmp_path: Path) -> None:

@@ -1,0 +1,96 @@
+"""What an exposure sees with motion blur: the camera over the time that the shutter is open, and whether anything else moves meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from mathutils import Matrix
+
+from ...core.scene import Camera, Film
+from .camera import extract_camera
+
+CAMERAS = 64  # of an exposure: a path takes one of them
+OPENS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}  # when the shutter opens, in its own time after the frame
+UNSEEN = {"CAMERA", "ARMATURE", "LATTICE", "SPEAKER"}  # what moves of these alone moves nothing that shows
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """cameras: in world space, over the exposure, none where it stands still. moments: frames after this one, at which other things are elsewhere."""
+
+    cameras: tuple[Camera, ...] = ()
+    moments: tuple[float, ...] = ()
+
+
+def exposure(scene: Any) -> tuple[float, float] | None:
+    """When the shutter opens and closes, in frames after the frame; None without motion blur."""
+    render = scene.render
+    if not render.use_motion_blur or render.motion_blur_shutter <= 0:
+        return None
+    first = OPENS[render.motion_blur_position] * render.motion_blur_shutter
+    return first, first + render.motion_blur_shutter
+
+
+def read_shutter(depsgraph: Any, film: Film, at: Callable[[float], None]) -> Shutter:
+    """The exposure of a frame. at: evaluates the graph so many frames after it; it is called with 0 at last. Raises as `extract_camera`.
+
+    Cameras lie between those at the steps that Cycles evaluates, as Cycles places them: 2 to the power of the camera's motion steps, and one.
+    """
+    scene = depsgraph.scene_eval
+    times = exposure(scene)
+    if times is None or scene.camera is None or scene.camera.type != "CAMERA":
+        return Shutter()
+    name, settings = scene.camera.name_full, getattr(scene.camera, "cycles", None)
+    steps = (1 << (settings.motion_steps if settings is not None else 1)) + 1
+    keys, moved = [], False
+    try:
+        for time in np.linspace(*times, steps).tolist():
+            at(time)
+            moved |= any(_shows(update) for update in depsgraph.updates)
+            item = depsgraph.scene_eval.camera
+            if item is not None and item.name_full == name:
+                keys.append(extract_camera(item, depsgraph.scene_eval, film))
+    finally:
+        at(0.0)
+    moments = tuple(time for time in times if time != 0.0) if moved else ()
+    return Shutter(between(keys, CAMERAS), moments)
+
+
+def _shows(update: Any) -> bool:
+    """Whether an update of a graph says that something moves that shows."""
+    if not (update.is_updated_transform or update.is_updated_geometry):
+        return False
+    item = update.id
+    kind = getattr(item, "type", None) if item.id_type == "OBJECT" else None
+    return kind is not None and kind not in UNSEEN and not (kind == "EMPTY" and item.instance_type == "NONE")
+
+
+def between(keys: Sequence[Camera], count: int) -> tuple[Camera, ...]:
+    """So many cameras at evenly spaced moments of a motion that evenly spaced keys describe; none where all keys are the same."""
+    if len(keys) < 2 or all(same_camera(camera, keys[0]) for camera in keys[1:]):
+        return ()
+    out = []
+    for x in (np.arange(count) + 0.5) / count * (len(keys) - 1):
+        k = min(int(x), len(keys) - 2)
+        out.append(_blend(keys[k], keys[k + 1], float(x) - k))
+    return tuple(out)
+
+
+def same_camera(a: Camera, b: Camera) -> bool:
+    """Whether two cameras see the same."""
+    return all(np.array_equal(getattr(a, field.name), getattr(b, field.name)) for field in fields(Camera))
+
+
+def _blend(a: Camera, b: Camera, t: float) -> Camera:
+    """A camera between two: turned by the shortest way, all else in proportion."""
+    turn = _rotation(a).slerp(_rotation(b), t).to_matrix()
+    to_world = np.column_stack((np.array(turn, np.float64), (1 - t) * a.to_world[:, 3] + t * b.to_world[:, 3]))
+    numbers = {name: (1 - t) * getattr(a, name) + t * getattr(b, name) for name in ("frame", "aperture", "focus", "clip_start", "clip_end")}
+    return replace(a, to_world=to_world, **numbers)
+
+
+def _rotation(camera: Camera) -> Any:
+    return Matrix(camera.to_world[:, :3].tolist()).to_quaternion()
