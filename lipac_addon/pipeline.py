@@ -296,11 +296,14 @@ def _render_whole(job: Job, frame: int, progress: Progress) -> dict[str, Any]:
     return {"frame": frame, "sync_s": counted.seconds, "render_s": seconds - counted.seconds, **counts}
 
 
-def write_back(culled: np.ndarray, keys: Keys, entry: dict[str, Any]) -> list[str]:
-    """Take culled (N,) bool out of renders of the open file; what that came to goes into the frame's entry, what could not be is said in the lines returned."""
+def write_back(culled: np.ndarray, keys: Keys, entry: dict[str, Any], lasting: bool = False) -> list[str]:
+    """Take culled (N,) bool out of renders of the open file; what that came to goes into the frame's entry, what could not be is said in the lines returned.
+
+    lasting: the file is to be saved so.
+    """
     start = time.perf_counter()
     with muted():
-        applied = writeback.apply(culled, keys)
+        applied = writeback.apply(culled, keys, lasting=lasting)
     entry["writeback_s"] = time.perf_counter() - start
     entry["writeback"] = applied.summary()
     return [f"{count:,} culled instances stay in the render: {why}" for why, count in applied.kept.items()]
@@ -318,7 +321,7 @@ def _run_shot(job: Job, finished: set[int], report: Report, progress: Progress, 
         shot.add(load_states(job.analysis(frame)))
     if job.save is not None or job.engine in BLENDER_ENGINES:
         written: dict[str, Any] = {}
-        report.note(report.warnings, write_back(~shot.active, shot.keys, written))
+        report.note(report.warnings, write_back(~shot.active, shot.keys, written, lasting=job.save is not None))
     if job.save is not None:
         save_baked(job.save)
     with Session(job) as session:

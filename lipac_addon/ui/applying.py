@@ -20,16 +20,16 @@ def apply(scene: bpy.types.Scene, result: FrameResult, in_render: bool = False) 
     in_render: until the running render ends. Write-back speaks of the whole file, so this takes the place of what another scene's result had hidden.
     """
     global notes  # noqa: PLW0603
-    writeback.restore()
+    writeback.restore(in_render)
+    _clear_switches()
     culled = result.culled & ~result.of_objects(props.marked(props.PIN) | props.marked(props.IGNORE))
     changed = culled & _of_changed(scene, result)
     keys = result.current_keys()
     rows = {} if scene.render.use_motion_blur else {name: result.scatters[uid] for name, uid in _names(result, keys.names) if uid in result.scatters}
-    applied = writeback.apply(culled & ~changed, keys, rows)
+    applied = writeback.apply(culled & ~changed, keys, rows, scene=scene, lasting=not in_render, in_render=in_render)
     if changed.any():
         applied.kept[CHANGED] = int(changed.sum())
     notes = tuple(f"{count:,} culled instances stay in renders: {why}" for why, count in applied.kept.items())
-    _clear_switches()
     if in_render:
         scene.lipac.in_render = True
     else:
@@ -43,9 +43,9 @@ def forget() -> None:
     notes = ()
 
 
-def restore() -> bool:
-    """Show again all that was hidden, by whichever scene; True where there was something."""
-    found = writeback.restore()
+def restore(in_render: bool = False) -> bool:
+    """Show again all that was hidden, by whichever scene; True where there was something. in_render: a handler of a render calls."""
+    found = writeback.restore(in_render)
     _clear_switches()
     return found
 

@@ -3,7 +3,6 @@
 `apply` chooses the means (see docs/write-back.md):
 
 - `hide_render` of an object, where that takes away culled instances only;
-- `hide_render` of a collection, where everything in it is hidden that way;
 - a mask modifier on geometry-nodes hosts, which removes single instances;
 - the render switch of particle systems, as a whole.
 
@@ -13,8 +12,10 @@ modifier). Nothing here affects the viewport, and nothing is written to disk.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
+import bpy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,13 +33,12 @@ class WritebackResult:
 
     removed: (N,) bool, the culled instances that a render no longer meets.
     kept: culled instances that could not be removed, counted by the reason.
-    objects, collections, hosts, particle_hosts: numbers of hidden objects and collections, of masked geometry-nodes hosts, of emitters switched off.
+    objects, hosts, particle_hosts: numbers of hidden objects, of masked geometry-nodes hosts, of emitters switched off.
     """
 
     removed: NDArray[np.bool_]
     kept: dict[str, int]
     objects: int
-    collections: int
     hosts: int
     particle_hosts: int
 
@@ -48,42 +48,65 @@ class WritebackResult:
             "removed": int(np.count_nonzero(self.removed)),
             "kept": dict(self.kept),
             "hidden_objects": self.objects,
-            "hidden_collections": self.collections,
             "masked_hosts": self.hosts,
             "particle_hosts": self.particle_hosts,
         }
 
 
-def apply(culled: NDArray[np.bool_], keys: Keys, places: dict[str, F32] | None = None) -> WritebackResult:
+def apply(
+    culled: NDArray[np.bool_],
+    keys: Keys,
+    places: dict[str, F32] | None = None,
+    *,
+    scene: bpy.types.Scene | None = None,
+    lasting: bool = False,
+    in_render: bool = False,
+) -> WritebackResult:
     """Remove culled instances from renders of the open file.
 
     culled: (N,) bool, True where an instance goes; keys: of the same N instances, extracted with nothing applied.
     places: by the full name of an object that instances by geometry nodes, (R, 3) where its rows are, in its own space. A row is then culled only while the
     instance of its number is there: what an edit numbers anew is not taken for others. Not for objects that move their instances over the frames.
-    What an earlier call did is taken back first, so calling twice is as calling once. Raises ValueError where the lengths differ.
+    scene: the one that was analysed, None: the open one. lasting: it is to be saved, or undone, neither of which Blender does for directly linked objects: they
+    stay. in_render: a handler of a render calls.
+    What an earlier call did is taken back first, so calling twice is as calling once. All or nothing: where something fails, what was done is taken back.
+    Raises ValueError where the lengths differ.
     """
     if len(culled) != len(keys.records):
         raise ValueError(f"{len(culled)} states for {len(keys.records)} instances")
-    restore()
-    plan = make_plan(culled, keys)
-    _write(plan, places or {})
-    return WritebackResult(
-        plan.removed, plan.kept, len(plan.objects), len(plan.collections), len(plan.masks), len({e.name_full for e, _ in plan.particle_modifiers})
-    )
+    restore(in_render)
+    plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render)
+    try:
+        _write(plan, places or {}, in_render)
+    except BaseException:
+        restore(in_render)
+        raise
+    return WritebackResult(plan.removed, plan.kept, len(plan.objects), len(plan.masks), len({e.name_full for e, _ in plan.particle_modifiers}))
 
 
-def restore() -> bool:
+def restore(in_render: bool = False) -> bool:
     """Take back everything that `apply` did in the open file, also when that was saved and loaded since; True where there was something.
 
     Exact: values, active modifiers, and no data-block or custom property left over. What a user changed since stays as the user set it.
     """
     found = mask.remove_all()
-    return marks.take_back() or found
+    return marks.take_back(in_render) or found
 
 
-def _write(plan: Plan, places: dict[str, F32]) -> None:
-    marks.hide(plan.objects, plan.collections)
+def applied() -> dict[str, int]:
+    """How much of the open file is hidden by `apply`, whenever and by whom: numbers of objects by `marks.HIDDEN`, `marks.MASKED`, `marks.PARTICLES`."""
+    counts: Counter[str] = Counter()
+    for words in marks.all_marks().values():
+        counts.update({word if word in {marks.HIDDEN, marks.MASKED} else marks.PARTICLES for word in words})
+    return dict(counts)
+
+
+def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:
+    """Marks first: whatever fails afterwards can be found and taken back."""
+    hidden, off = ((ob, marks.HIDDEN) for ob in plan.objects), ((ob, marks.particles(ob.modifiers[name])) for ob, name in plan.particle_modifiers)
+    marks.write([*hidden, *off, *((host, marks.MASKED) for host, _ in plan.masks)])
+    marks.set_hidden(list(plan.objects), True, in_render)
     for emitter, modifier in plan.particle_modifiers:
-        marks.switch_off(emitter, modifier)
+        emitter.modifiers[modifier].show_render = False
     for host, rows in plan.masks:
         mask.add(host, rows, places.get(full_name(host)))

@@ -1,9 +1,10 @@
-"""The record of what was hidden: a mark on each touched data-block, as a custom property.
+"""The record of what was hidden: a mark on each touched object, as a custom property.
 
 The mark lives and travels with what it speaks of: it survives saving, loading, a crash, renaming and duplication (a copy of a hidden object is shown again,
-too).
-A mark is a list of words: "hide_render" for the data-block's own switch, "particles:NAME" for the render switch of the modifier NAME. All switches were on
-before, else they are not touched, so the old value needs no storing.
+too). Blender saves no custom property that is added to a library override: the marks of these are on an object of our own, which points to them.
+
+A mark is a list of words: `HIDDEN` for the object's own switch, `PARTICLES` and a number for the render switch of the modifier with that persistent number,
+`MASKED` for a mask modifier. All switches were on before, else they are not touched, so the old value needs no storing. A word that fits nothing does nothing.
 """
 
 from __future__ import annotations
@@ -16,57 +17,72 @@ import numpy as np
 KEY = "lipac_writeback"
 HIDDEN = "hide_render"
 PARTICLES = "particles:"
+MASKED = "masked"
+_RECORD = "overrides"  # the mark of the object that bears those of library overrides; also the name of its list
+_NAME = "LiPaC overrides"
+
+Words = dict[bpy.types.Object, list[str]]
 
 
-def words(block: bpy.types.ID) -> list[str]:
-    """The mark of a data-block, empty where there is none."""
-    value = block.get(KEY, "")
-    return value.split("\n") if isinstance(value, str) and value else []
+def all_marks() -> Words:
+    """The marked objects of the file, and their words."""
+    found: Words = {}
+    for ob in bpy.data.objects:
+        value = ob.get(KEY)
+        if isinstance(value, str) and (words := [word for word in value.split("\n") if word in {HIDDEN, MASKED} or word.startswith(PARTICLES)]):
+            found[ob] = words
+        elif _is_record(ob):
+            for entry in ob[_RECORD]:
+                if isinstance(entry.get("object"), bpy.types.Object):
+                    found.setdefault(entry["object"], []).append(str(entry.get("word")))
+    return found
 
 
-def add(block: bpy.types.ID, word: str) -> None:
-    """Add a word to the mark of a data-block."""
-    block[KEY] = "\n".join([*words(block), word])
+def write(words: Iterable[tuple[bpy.types.Object, str]]) -> None:
+    """Mark objects; to be done before what the words say."""
+    overrides = []
+    for ob, word in words:
+        if ob.override_library is None:
+            ob[KEY] = f"{ob[KEY]}\n{word}" if KEY in ob else word
+        else:
+            overrides.append({"object": ob, "word": word})
+    if overrides:
+        record = bpy.data.objects.new(_NAME, None)
+        record.use_fake_user = True
+        record[KEY], record[_RECORD] = _RECORD, overrides
 
 
-def hide(objects: Iterable[bpy.types.Object], collections: Iterable[bpy.types.Collection]) -> None:
-    """Hide objects and collections from renders and mark them; they are visible before."""
-    _set_hidden(list(objects), True)
-    for collection in collections:
-        collection.hide_render = True
-        add(collection, HIDDEN)
+def particles(modifier: bpy.types.Modifier) -> str:
+    """The word for a particle system modifier that is switched off."""
+    return f"{PARTICLES}{modifier.persistent_uid}"
 
 
-def switch_off(emitter: bpy.types.Object, modifier: str) -> None:
-    """Switch a particle system modifier off in renders and mark its object; it is on before."""
-    emitter.modifiers[modifier].show_render = False
-    add(emitter, PARTICLES + modifier)
-
-
-def take_back() -> bool:
-    """Undo every mark in the file and remove it; True where there was one. Values that are no longer as they were set stay."""
-    collections = [c for c in bpy.data.collections if KEY in c]
+def take_back(in_render: bool = False) -> bool:
+    """Undo every mark in the file and remove it; True where there was one. Values that are no longer as they were set stay. in_render: as of `set_hidden`."""
+    found = all_marks()
+    for ob, words in found.items():
+        for modifier in ob.modifiers:
+            if modifier.type == "PARTICLE_SYSTEM" and {particles(modifier), PARTICLES + modifier.name}.intersection(words):  # earlier versions went by names
+                modifier.show_render = True
+    set_hidden([ob for ob, words in found.items() if HIDDEN in words], False, in_render)
+    for ob in found:
+        if KEY in ob:
+            del ob[KEY]
+    collections = [c for c in bpy.data.collections if c.get(KEY) == HIDDEN]  # which earlier versions hid, too
     for collection in collections:
         collection.hide_render = False
         del collection[KEY]
-    objects = [ob for ob in bpy.data.objects if KEY in ob]
-    hidden = []
-    for ob in objects:
-        for word in words(ob):
-            if word == HIDDEN:
-                hidden.append(ob)
-            elif word.startswith(PARTICLES) and (modifier := ob.modifiers.get(word.removeprefix(PARTICLES))) is not None:
-                modifier.show_render = True
-    _set_hidden(hidden, False)
-    for ob in objects:
-        del ob[KEY]
-    return bool(collections or objects)
+    if records := [ob for ob in bpy.data.objects if _is_record(ob)]:
+        bpy.data.batch_remove(records)
+    return bool(found or collections)
 
 
-def _set_hidden(objects: list[bpy.types.Object], hidden: bool) -> None:
+def set_hidden(objects: list[bpy.types.Object], hidden: bool, in_render: bool = False) -> None:
     """Set `hide_render` of many objects.
 
-    Assigning one by one walks all view layers each time, which is quadratic; so all values are written at once, and one assignment has Blender look at them.
+    Assigning one by one walks all view layers each time, which is quadratic; so values are written at once. That changes no linked object, and Blender saves no
+    change of a library override that was not assigned. in_render: a handler of a render calls, in which an assignment crashes Blender where the compositor
+    reads a second scene; so overrides, which nobody saves meanwhile, are not assigned.
     """
     if not objects:
         return
@@ -74,10 +90,13 @@ def _set_hidden(objects: list[bpy.types.Object], hidden: bool) -> None:
     bpy.data.objects.foreach_get("hide_render", values)
     place = {ob: i for i, ob in enumerate(bpy.data.objects)}
     values[[place[ob] for ob in objects]] = hidden
+    assigned = [ob for ob in objects if ob.library or (ob.override_library and not in_render)]
+    for ob in assigned:
+        ob.hide_render = hidden
     bpy.data.objects.foreach_set("hide_render", values)
     for ob in objects:
-        if hidden:
-            add(ob, HIDDEN)
         ob.update_tag()
-    for ob in (objects[0], *(ob for ob in objects if ob.library)):  # linked ones only take an assignment
-        ob.hide_render = hidden
+
+
+def _is_record(ob: bpy.types.Object) -> bool:
+    return ob.get(KEY) == _RECORD and ob.type == "EMPTY" and not ob.users_collection and not isinstance(ob.get(_RECORD, ""), str)

@@ -48,17 +48,34 @@ def add(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32 | None = No
 def remove_all() -> bool:
     """Remove every mask modifier and all data-blocks made for them; True where there was one."""
     groups = {g for g in bpy.data.node_groups if _is_ours(g)}
-    if groups:
-        for ob in bpy.data.objects:
-            for modifier in [m for m in ob.modifiers if m.type == "NODES" and m.node_group in groups]:
+    masked = {ob for ob, words in marks.all_marks().items() if marks.MASKED in words}
+    for ob in bpy.data.objects if groups else masked:
+        if ob.is_editable:
+            for modifier in [m for m in ob.modifiers if m.type == "NODES" and (m.node_group in groups or (ob in masked and _is_emptied(m)))]:
                 ob.modifiers.remove(modifier)
     blocks = [*groups, *(b for kind in (bpy.data.objects, bpy.data.meshes) for b in kind if _is_ours(b))]
-    bpy.data.batch_remove(blocks)
+    if blocks:
+        bpy.data.batch_remove(blocks)
     return bool(blocks)
 
 
+def _is_emptied(modifier: bpy.types.Modifier) -> bool:
+    """Whether it is a mask modifier whose node group was removed."""
+    return modifier.node_group is None and modifier.name.startswith(NAME)
+
+
 def _is_ours(block: bpy.types.ID) -> bool:
-    return block.get(marks.KEY) == _MASK
+    """Whether a data-block bears our mark, and is what we make: anyone can copy a mark."""
+    if block.get(marks.KEY) != _MASK or block.library is not None:
+        return False
+    if isinstance(block, bpy.types.NodeTree):
+        inputs = [s.name for s in block.interface.items_tree if s.item_type == "SOCKET" and s.in_out == "INPUT"]
+        return block.bl_idname == "GeometryNodeTree" and inputs == ["Geometry", "Mask", "Anywhere"]
+    mesh = block.data if isinstance(block, bpy.types.Object) else block
+    if not isinstance(mesh, bpy.types.Mesh) or (isinstance(block, bpy.types.Object) and block.users_collection):
+        return False
+    attribute = mesh.attributes.get(ATTRIBUTE)
+    return not mesh.edges and attribute is not None and attribute.domain == "POINT" and attribute.data_type == "BOOLEAN"
 
 
 def _mask_object(rows: NDArray[np.bool_], places: F32 | None) -> bpy.types.Object:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...core.scene import Records
 from ..keys import Keys, Kind
-from .references import References, instances_others, is_animated, simulates, takes_modifiers
+from .references import References, instances_others, is_animated, is_unbaked, scenes_in_picture, simulates, takes_modifiers
 
 Mask = NDArray[np.bool_]
 
@@ -20,8 +20,12 @@ Mask = NDArray[np.bool_]
 MISSING = "its object is gone"
 ANIMATED = "render visibility is animated"
 METABALL = "metaballs merge: one cannot be hidden alone"
-MORE = "its object also shows lights, volumes or hair"
+MORE = "its object also shows lights, volumes, hair or metaballs"
 SIMULATION = "its object takes part in a simulation"
+UNBAKED = "its simulation is not baked: hiding it would empty the cache"
+DRIVES = "a driver reads whether its object renders"
+ELSEWHERE = "another scene that is part of the picture shows it, too"
+NOT_KEPT = "its object is linked: Blender neither saves nor undoes a change of it (a library override takes it)"
 PICKED = "a particle system picks from its collection"
 FEEDS = "its host is itself instanced by another object"
 LINKED = "its host takes no modifier: linked from a library, or of a type without modifiers"
@@ -36,24 +40,23 @@ _BY_KIND = {Kind.OBJECT: SHARED, Kind.COLLECTION: PART, Kind.GEOMETRY_NODES: NES
 
 @dataclass(frozen=True)
 class Plan:
-    """objects, collections: to hide; masks: hosts and (R,) bool rows to delete; particle_modifiers: emitters and modifier names to switch off.
+    """objects: to hide; masks: hosts and (R,) bool rows to delete; particle_modifiers: emitters and modifier names to switch off.
 
     removed: (N,) bool, the instances that go; kept: culled ones that stay, by reason.
     """
 
     objects: tuple[bpy.types.Object, ...]
-    collections: tuple[bpy.types.Collection, ...]
     masks: tuple[tuple[bpy.types.Object, Mask], ...]
     particle_modifiers: tuple[tuple[bpy.types.Object, str], ...]
     removed: Mask
     kept: dict[str, int]
 
 
-def make_plan(culled: Mask, keys: Keys) -> Plan:
-    """The means for culled (N,) bool instances of `keys` in the open file."""
+def make_plan(culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool = False, in_render: bool = False) -> Plan:
+    """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render: as of `apply`."""
     if not culled.any():
-        return Plan((), (), (), (), np.zeros(len(culled), bool), {})
-    return _Planner(np.asarray(culled, bool), keys).plan()
+        return Plan((), (), (), np.zeros(len(culled), bool), {})
+    return _Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan()
 
 
 @dataclass(frozen=True)
@@ -109,9 +112,11 @@ def by_source(columns: Columns, members: Mask) -> Mask:
 class _Planner:
     """The steps of `make_plan`; `removed` and `reasons` fill up on the way."""
 
-    def __init__(self, culled: Mask, keys: Keys) -> None:
+    def __init__(self, culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool, in_render: bool) -> None:
         self.culled, self.columns, self.names = culled, Columns.of(keys.records), keys.names
-        self.references = References()
+        others = scenes_in_picture(scene)
+        self.references = References(others)
+        self.keeps_linked = lasting or (in_render and bool(others))  # these only take an assignment, which would crash such a render
         self.members = np.array([self.references.in_instanced_collection(_find(name)) for name in keys.names], bool)
         self.removed = np.zeros(len(culled), bool)
         self.object_reason: dict[int, str] = {}  # name index: why the object cannot be hidden
@@ -119,12 +124,10 @@ class _Planner:
 
     def plan(self) -> Plan:
         hidden = self.hidden_objects()
-        collections, covered = self.hidden_collections(set(hidden.values()))
         masks = tuple(self.masks(hidden))
         particles = tuple(self.particle_modifiers(hidden))
-        objects = tuple(ob for ob in hidden.values() if ob not in covered)
         self.removed &= self.culled
-        return Plan(objects, collections, masks, particles, self.removed, self.kept())
+        return Plan(tuple(hidden.values()), masks, particles, self.removed, self.kept())
 
     def hidden_objects(self) -> dict[int, bpy.types.Object]:
         """Objects to hide by their name index."""
@@ -151,6 +154,8 @@ class _Planner:
         """Why hiding an object would not work, or would touch more than it should; None where it can be hidden."""
         if ob is None:
             return MISSING
+        if ob.library and self.keeps_linked:
+            return NOT_KEPT
         if ob.type == "META":
             return METABALL
         if self.references.carries_more(ob):
@@ -161,27 +166,25 @@ class _Planner:
             return PICKED
         if instances_others(ob) and self.references.feeds(ob):
             return FEEDS
-        return ANIMATED if is_animated(ob, "hide_render") else None
+        if is_animated(ob, "hide_render"):
+            return ANIMATED
+        return self.any_change(ob)
 
-    def hidden_collections(self, hidden: set[bpy.types.Object]) -> tuple[tuple[bpy.types.Collection, ...], set[bpy.types.Object]]:
-        """The largest collections of the scene in which every object is hidden, and the objects that they cover in all places where these are linked."""
-        found: list[bpy.types.Collection] = []
-        stack = list(bpy.context.scene.collection.children)
-        while stack:
-            collection = stack.pop()
-            contents = collection.all_objects
-            if not collection.hide_render and len(contents) > 1 and self.may_hide(collection) and all(ob in hidden for ob in contents):
-                found.append(collection)
-            else:
-                stack.extend(collection.children)
-        found = list(dict.fromkeys(found))
-        inside = {c for top in found for c in (top, *top.children_recursive)}
-        covered = {ob for top in found for ob in top.all_objects if all(c in inside for c in ob.users_collection)}
-        return tuple(found), covered
+    def any_change(self, ob: bpy.types.Object) -> str | None:
+        """Why nothing of an object may be changed, its modifiers included."""
+        if self.references.drives(ob):
+            return DRIVES
+        if self.references.elsewhere(ob):
+            return ELSEWHERE
+        return UNBAKED if is_unbaked(ob) else None
 
-    def may_hide(self, collection: bpy.types.Collection) -> bool:
-        """Whether a collection can be hidden: it is local, and neither it nor one below it is used as anything but a place in the outliner."""
-        return not any(c.library or self.references.feeds(c) for c in (collection, *collection.children_recursive))
+    def modifier_obstacle(self, ob: bpy.types.Object | None) -> str | None:
+        """Why no modifier of a host may be added or switched off; None where it may."""
+        if ob is None:
+            return MISSING
+        if not takes_modifiers(ob):
+            return LINKED
+        return FEEDS if self.references.feeds(ob) else self.any_change(ob)
 
     def masks(self, hidden: dict[int, bpy.types.Object]) -> Iterator[tuple[bpy.types.Object, Mask]]:
         """Hosts and rows for the mask modifier."""
@@ -189,8 +192,9 @@ class _Planner:
             if n in hidden or not self.culled[instances].any():
                 continue
             ob = _find(self.names[n])
-            if ob is None or not takes_modifiers(ob) or self.references.feeds(ob):
-                self.host_reason[n] = MISSING if ob is None else FEEDS if takes_modifiers(ob) else LINKED
+            reason = self.modifier_obstacle(ob)
+            if ob is None or reason is not None:
+                self.host_reason[n] = reason or MISSING
                 continue
             row, stays = self.columns.row[instances], ~self.culled[instances]
             if self.references.carries_more(ob):
@@ -207,9 +211,11 @@ class _Planner:
             if n in hidden or not self.culled[instances].all():
                 continue
             ob = _find(self.names[n])
-            references = self.references
-            if ob is None or not takes_modifiers(ob) or references.feeds(ob) or references.particle_source(ob) or references.carries_more(ob):
-                self.host_reason[n] = MISSING if ob is None else FEEDS if takes_modifiers(ob) else LINKED
+            reason = self.modifier_obstacle(ob)
+            if reason is None and ob is not None:
+                reason = FEEDS if self.references.particle_source(ob) else MORE if self.references.carries_more(ob) else None
+            if ob is None or reason is not None:
+                self.host_reason[n] = reason or MISSING
                 continue
             self.removed[instances] = True
             for modifier in ob.modifiers:
@@ -247,5 +253,6 @@ def full_name(ob: bpy.types.Object) -> str:
 
 def _find(name: str) -> bpy.types.Object | None:
     """An object by its full name: the name, or library path and name joined by a newline."""
+    own = bpy.data.objects.get((name, None))  # which may have a newline of its own
     library, _, local = name.rpartition("\n")
-    return bpy.data.objects.get((local, library or None))
+    return own or (bpy.data.objects.get((local, library)) if library else None)

@@ -11,13 +11,15 @@ _DUPLI = {"VERTS", "FACES"}
 _SHOWN_BY_PARTICLES = {"OBJECT", "COLLECTION"}
 _SIMULATION = {"COLLISION", "FLUID", "DYNAMIC_PAINT"}
 # What a render shows and instances of geometry do not stand for
-_OTHER_TYPES = {"LIGHT", "LIGHT_PROBE", "VOLUME", "GREASEPENCIL", "GPENCIL"}
+_OTHER_TYPES = {"LIGHT", "LIGHT_PROBE", "VOLUME", "CURVES", "POINTCLOUD", "META", "GREASEPENCIL", "GPENCIL"}
+_SWITCHES = {"hide_render", "show_render"}
 
 
 class References:
     """The instancing relations of the open file at the time of construction; holds references to data-blocks, so it must not outlive an edit."""
 
-    def __init__(self) -> None:
+    def __init__(self, others: Iterable[bpy.types.Scene] = ()) -> None:
+        """others: scenes that are part of the picture, beside the one that was analysed."""
         users = _instancing_users()
         blocks = [x for x in users if not isinstance(x, bpy.types.Object)]
         roots = [x for x in blocks if any(isinstance(y, bpy.types.Object) for y in users[x])]
@@ -31,6 +33,8 @@ class References:
         particle_collections = [p.instance_collection for p in bpy.data.particles if p.render_type == "COLLECTION" and p.instance_collection]
         self._picked = {ob for c in particle_collections for ob in c.all_objects}
         self._alone_in_nodes = self._objects_of_nodes()
+        self._drivers = _read_by_drivers()
+        self._elsewhere = _shown_in(others, users)
         self._particle_sources = {m.object for ob in bpy.data.objects for m in ob.modifiers if m.type == "PARTICLE_INSTANCE"}
 
     def feeds(self, block: bpy.types.Object | bpy.types.Collection) -> bool:
@@ -59,6 +63,14 @@ class References:
         """Whether a Particle Instance modifier of another object uses the object's particles."""
         return ob in self._particle_sources
 
+    def drives(self, ob: bpy.types.Object) -> bool:
+        """Whether a driver reads if the object, or a modifier of it, is rendered."""
+        return ob in self._drivers
+
+    def elsewhere(self, ob: bpy.types.Object) -> bool:
+        """Whether another scene of the picture shows the object, itself or as an instance."""
+        return ob in self._elsewhere
+
     def _objects_of_nodes(self) -> set[bpy.types.ID]:
         separate = any(_separates_children(tree) for tree in bpy.data.node_groups)
         sources: set[bpy.types.ID] = set()
@@ -85,6 +97,41 @@ def simulates(ob: bpy.types.Object) -> bool:
     """Whether an object may act on others in a simulation: a hidden collider or force field is none in a render."""
     field = ob.field is not None and ob.field.type != "NONE"
     return field or ob.rigid_body is not None or any(m.type in _SIMULATION for m in ob.modifiers)
+
+
+def is_unbaked(ob: bpy.types.Object) -> bool:
+    """Whether an object has a simulation of its own whose results are in memory alone: any change to it empties that, or has it go on from something else."""
+    caches = [m.point_cache for m in ob.modifiers if m.type in {"CLOTH", "SOFT_BODY"}]
+    caches += [p.point_cache for p in ob.particle_systems if _moves_particles(p)]
+    return not all(cache.is_baked for cache in caches) or any(m.type == "NODES" and _simulates(m.node_group, set()) for m in ob.modifiers)
+
+
+def _moves_particles(system: bpy.types.ParticleSystem) -> bool:
+    return system.use_hair_dynamics if system.settings.type == "HAIR" else system.settings.physics_type != "NO"
+
+
+def _simulates(tree: bpy.types.NodeTree | None, seen: set[bpy.types.NodeTree]) -> bool:
+    """Whether a node tree, or a group in it, has a simulation zone. Whether that is baked cannot be read."""
+    if tree is None or tree in seen:
+        return False
+    seen.add(tree)
+    return any(node.bl_idname == "GeometryNodeSimulationOutput" or _simulates(getattr(node, "node_tree", None), seen) for node in tree.nodes)
+
+
+def scenes_in_picture(scene: bpy.types.Scene) -> set[bpy.types.Scene]:
+    """Other scenes that a render of this one shows: those that its compositor and its sequencer read."""
+    found: set[bpy.types.Scene] = set()
+    if scene.render.use_compositing:
+        trees, front = set[bpy.types.NodeTree](), [getattr(scene, "compositing_node_group", None)]
+        while front:
+            tree = front.pop()
+            if tree is not None and tree not in trees:
+                trees.add(tree)
+                found.update(node.scene for node in tree.nodes if node.bl_idname == "CompositorNodeRLayers" and node.scene)
+                front += [getattr(node, "node_tree", None) for node in tree.nodes]
+    if scene.render.use_sequencer and scene.sequence_editor is not None:
+        found.update(strip.scene for strip in scene.sequence_editor.strips_all if strip.type == "SCENE" and strip.scene)
+    return found - {scene}
 
 
 def is_animated(ob: bpy.types.Object, path: str) -> bool:
@@ -156,3 +203,50 @@ def _closure(start: Iterable[bpy.types.ID], step: object) -> set[bpy.types.ID]:
         seen.update(new)
         front = list(set(new))
     return seen
+
+
+def _shown_in(scenes: Iterable[bpy.types.Scene], users: dict[bpy.types.ID, set[bpy.types.ID]]) -> set[bpy.types.ID]:
+    """All that some scenes show: their objects, and what these instance."""
+    tops = [ob for scene in scenes for ob in scene.collection.all_objects]
+    if not tops:
+        return set()
+    used: dict[bpy.types.ID, list[bpy.types.ID]] = {}
+    for x, by in users.items():
+        for y in by:
+            used.setdefault(y, []).append(x)
+    return _closure(tops, lambda x: used.get(x, ()))
+
+
+def _read_by_drivers() -> set[bpy.types.ID]:
+    """Data-blocks of which a driver reads whether they, or something of theirs, are rendered."""
+    found: set[bpy.types.ID] = set()
+    for block in _animatable():
+        data = block.animation_data
+        for curve in data.drivers if data is not None else ():
+            for target in (target for variable in curve.driver.variables for target in variable.targets):
+                owner, _, name = target.data_path.rpartition(".")
+                if name in _SWITCHES:
+                    found.update(_owners(target, owner))
+            if any(name in curve.driver.expression for name in _SWITCHES):  # by Python: whatever it names
+                found.update(ob for ob in bpy.data.objects if ob.name in curve.driver.expression)
+                found.add(block)
+    return found
+
+
+def _owners(target: bpy.types.DriverTarget, path: str) -> Iterator[bpy.types.ID]:
+    """The data-blocks that a path from a driver's target leads to; one without a data-block goes from the scene that is rendered, whichever that is."""
+    for start in bpy.data.scenes if target.id is None else (target.id,):
+        try:
+            thing = start.path_resolve(path) if path else start
+        except ValueError:
+            continue
+        if getattr(thing, "id_data", None) is not None:
+            yield thing.id_data
+
+
+def _animatable() -> Iterator[bpy.types.ID]:
+    """All data-blocks of the file that may have drivers, node trees of materials and the like included."""
+    for name in (p.identifier for p in bpy.data.bl_rna.properties if p.type == "COLLECTION"):
+        for block in getattr(bpy.data, name):
+            tree = getattr(block, "node_tree", None)
+            yield from (x for x in (block, tree) if hasattr(x, "animation_data"))

@@ -6,7 +6,7 @@ import bpy
 import pytest
 
 from lipac.core.errors import InputError
-from lipac.lipac_addon.ui import engine, job, operators, results, session
+from lipac.lipac_addon.ui import applying, engine, handlers, job, operators, results, session
 from lipac.lipac_addon.ui.analysis import AnalysisJob
 
 FAR = {"box4", "box5", "box6", "box7"}
@@ -100,9 +100,14 @@ def test_linked_objects_and_overrides(scene, boxes_file, hidden):
     for ob in bpy.data.objects:
         ob.select_set(ob in {linked, override}) if ob.name in bpy.context.view_layer.objects else None
     bpy.ops.lipac.apply()
-    assert linked.hide_render
+    assert not linked.hide_render  # which Blender would not save
+    assert any("linked" in line for line in applying.notes)
     assert not override.hide_render
     bpy.ops.lipac.restore()
+    scene.lipac.use_for_renders = True
+    handlers.before_frame(scene)
+    assert linked.hide_render
+    handlers.after_render(scene)
     assert not linked.hide_render
 
 
