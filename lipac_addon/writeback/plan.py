@@ -114,10 +114,11 @@ class _Planner:
 
     def __init__(self, culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool, in_render: bool) -> None:
         self.culled, self.columns, self.names = culled, Columns.of(keys.records), keys.names
+        self.found = {full_name(ob): ob for ob in bpy.data.objects}  # Blender's own search takes as long as there are objects
         others = scenes_in_picture(scene)
         self.references = References(others)
         self.keeps_linked = lasting or (in_render and bool(others))  # these only take an assignment, which would crash such a render
-        self.members = np.array([self.references.in_instanced_collection(_find(name)) for name in keys.names], bool)
+        self.members = np.array([self.references.in_instanced_collection(self.found.get(name)) for name in keys.names], bool)
         self.removed = np.zeros(len(culled), bool)
         self.object_reason: dict[int, str] = {}  # name index: why the object cannot be hidden
         self.host_reason: dict[int, str] = {}  # name index: why the host cannot be masked or switched off
@@ -133,7 +134,7 @@ class _Planner:
         """Objects to hide by their name index."""
         hidden = {}
         for n in np.flatnonzero(hideable_names(self.culled, self.columns, self.members)):
-            ob = _find(self.names[n])
+            ob = self.found.get(self.names[n])
             reason = self.obstacle(ob)
             if reason is not None:
                 self.object_reason[int(n)] = reason
@@ -191,7 +192,7 @@ class _Planner:
         for n, instances in self.hosts(Kind.GEOMETRY_NODES):
             if n in hidden or not self.culled[instances].any():
                 continue
-            ob = _find(self.names[n])
+            ob = self.found.get(self.names[n])
             reason = self.modifier_obstacle(ob)
             if ob is None or reason is not None:
                 self.host_reason[n] = reason or MISSING
@@ -210,7 +211,7 @@ class _Planner:
         for n, instances in self.hosts(Kind.PARTICLE):
             if n in hidden or not self.culled[instances].all():
                 continue
-            ob = _find(self.names[n])
+            ob = self.found.get(self.names[n])
             reason = self.modifier_obstacle(ob)
             if reason is None and ob is not None:
                 reason = FEEDS if self.references.particle_source(ob) else MORE if self.references.carries_more(ob) else None
@@ -249,10 +250,3 @@ class _Planner:
 def full_name(ob: bpy.types.Object) -> str:
     """The name of an object in `Keys`."""
     return ob.name if ob.library is None else f"{ob.library.filepath}\n{ob.name}"
-
-
-def _find(name: str) -> bpy.types.Object | None:
-    """An object by its full name: the name, or library path and name joined by a newline."""
-    own = bpy.data.objects.get((name, None))  # which may have a newline of its own
-    library, _, local = name.rpartition("\n")
-    return own or (bpy.data.objects.get((local, library)) if library else None)
