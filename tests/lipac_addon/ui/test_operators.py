@@ -90,9 +90,9 @@ def test_mark_selected(scene):
 def test_linked_objects_and_overrides(scene, boxes_file, hidden):
     with bpy.data.libraries.load(str(boxes_file), link=True) as (_, to):
         to.objects = ["box4", "box5"]
-    linked, override = to.objects[0], to.objects[1].override_create(remap_local_usages=False)
-    for ob in (linked, override):
-        scene.collection.objects.link(ob)
+    for ob in to.objects:
+        scene.collection.objects.link(ob)  # Blender 5.3 overrides only what the file uses
+    linked, override = to.objects[0], to.objects[1].override_create(remap_local_usages=True)
     override.lipac.role = "PIN"
     assert bpy.ops.lipac.analyze() == {"FINISHED"}
     result = results.at(scene)
