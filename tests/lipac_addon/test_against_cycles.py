@@ -26,7 +26,6 @@ from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
 from lipac.tests.stats import level
 
-pytestmark = pytest.mark.blender
 SHARED = Path(lipac.__file__).parent.parent / "shared" / "scenes"
 SEEDS = 8
 COLUMNS, ROWS = 8, 5
