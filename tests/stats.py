@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
+from scipy import stats
 
-stats = pytest.importorskip("scipy.stats")
 SIGNIFICANCE = 1e-3
 
 
