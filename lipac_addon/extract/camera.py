@@ -11,6 +11,7 @@ from ...core.errors import InputError
 from ...core.scene import F32, F64, Camera, Film, PathLimits, Shading
 
 VIEW_DIRECTION = np.array([-0.6, 0.7, -0.4])  # of a framing camera: from the front, a little from the right and above
+NEWEST = (5, 3)  # Blender that the tests have run on
 NO_CAMERA = "the scene has no camera: add one and make it the scene's active camera"
 
 
@@ -42,6 +43,14 @@ def extract_limits(scene: Any) -> PathLimits:
         c.blur_glossy,
         Shading.of(bpy.app.version),
     )
+
+
+def newer_than_tested() -> list[str]:
+    """One line where the Blender that runs is newer than all that we know."""
+    if bpy.app.version[:2] <= NEWEST:
+        return []
+    known = ".".join(map(str, NEWEST))
+    return [f"Blender {bpy.app.version_string} is newer than those that this was tested with (up to {known}): surfaces are taken to scatter as in {known}"]
 
 
 def camera_matrix(camera: Any) -> F64:

@@ -313,7 +313,8 @@ class GraphReader:
         for name, kind in (("pointcloud", "point cloud"), ("curves", "curves (hair)"), ("volume", "volume"), ("grease_pencil", "Grease Pencil")):
             part = getattr(geometry, name, None)
             if part is not None and not (name == "curves" and geometry.mesh is not None and item.type in {"CURVE", "FONT", "SURFACE"}):
-                lines.setdefault(f"object {item.name}: {kind} not rendered")
+                splats = getattr(part, "type", "") == "GAUSSIAN_SPLAT"
+                lines.setdefault(f"object {item.name}: {'Gaussian splats' if splats else kind} not rendered")
         if out.mesh >= 0:
             out.materials = material_slots(item, geometry.mesh, self._override, self.materials)
         self._settle(out)

@@ -30,7 +30,14 @@ CONSTANT = {  # record field: socket of Principled, for inputs that the core tak
     "coat_ior": "Coat IOR",
     "coat_tint": "Coat Tint",
 }
-UNSUPPORTED = {"Subsurface Weight": "subsurface", "Sheen Weight": "sheen", "Anisotropic": "anisotropy", "Thin Film Thickness": "thin film"}
+UNSUPPORTED = {
+    "Subsurface Weight": "subsurface",
+    "Sheen Weight": "sheen",
+    "Anisotropic": "anisotropy",
+    "Thin Film Thickness": "thin film",
+    "Transmission Dispersion Scale": "dispersion",
+}
+LIGHT_LOOP = {"ShaderNodeLightAccumulation", "ShaderNodeLightEvaluation", "ShaderNodeLightInfo", "ShaderNodeShadowRaycast"}
 SCALARS = ("metallic", "roughness", "alpha", "transmission")
 
 
@@ -127,6 +134,8 @@ class MaterialTable:
             record["base_color"] = material.diffuse_color[:3]
             record["metallic"], record["roughness"] = material.metallic, material.roughness
             return record
+        if loops_over_lights(material.node_tree):
+            report("light loop not rendered")
         inlined = material.inline_shader_nodes()  # keeps the tree alive
         tree = inlined.node_tree
         if tree.get_output_node("CYCLES") is None:
@@ -135,6 +144,20 @@ class MaterialTable:
         for record in (*leaves(out), *heads(out)):
             record["mis_emission"] = material.cycles.emission_sampling != "NONE"
         return out
+
+
+def loops_over_lights(tree: Any) -> bool:
+    """Whether a shader tree, or a group in it, has a node of Blender 5.3 that asks for lights: inlining puts constants in their place."""
+    trees, seen = [tree], set()
+    while trees:
+        tree = trees.pop()
+        if tree is None or tree.session_uid in seen:
+            continue
+        seen.add(tree.session_uid)
+        if any(node.bl_idname in LIGHT_LOOP for node in tree.nodes):
+            return True
+        trees += [node.node_tree for node in tree.nodes if node.bl_idname == "ShaderNodeGroup"]
+    return False
 
 
 def _is_textured(record: Records) -> bool:

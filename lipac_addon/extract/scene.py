@@ -12,7 +12,7 @@ from ...core.errors import InputError
 from ...core.placing import scene_origin
 from ...core.scene import F32, I32, Records, Scene
 from ..keys import Keys, Kind
-from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera
+from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera, newer_than_tested
 from .depsgraph import STAND_IN
 from .differences import compare
 from .graph import GraphReader
@@ -98,7 +98,7 @@ class SceneReader:
         shading = self._shading.read(graph)
         pairs = {pair for block in placed.blocks for pair in block.pairs}
         deformed, replaced = graph.meshes.finish(self._textured(pairs, shading), shading.uv_maps)
-        approximated, warnings = dict.fromkeys(graph.unsupported), dict.fromkeys(graph.warnings)
+        approximated, warnings = dict.fromkeys(graph.unsupported), dict.fromkeys((*newer_than_tested(), *graph.warnings))
         lights = self._lights(placed, approximated, warnings)
         dropped: dict[str, int] = {}
         for block in placed.blocks:
