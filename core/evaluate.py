@@ -14,10 +14,10 @@ import numpy as np
 from .analysis import analyze
 from .budget import Budget
 from .culling import CullOptions, keep_distance, keep_frustum, keep_solid_angle
+from .files import replacing
 from .judge import Judge
 from .oracle import search
 from .progress import Progress, part, silent
-from .report import replacing
 from .scene import F32, Scene
 
 BUDGETS = (0.005, 0.01, 0.02, 0.05)

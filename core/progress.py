@@ -39,7 +39,8 @@ def clock(seconds: float) -> str:
 class Terminal:
     """A `Progress` that writes to a text stream: one line that is rewritten on a terminal, a line every few seconds into a file or pipe.
 
-    The time left is extrapolated from the fraction done since the first call. `close()` (or leaving the `with` block) clears the line.
+    The time left is extrapolated from the fraction done since the first call. `close()` (or leaving the `with` block) clears the line. Nothing is written any
+    more once the stream has refused it: its reader has gone, or its disk is full.
     """
 
     def __init__(self, stream: TextIO, now: Callable[[], float] = time.monotonic) -> None:
@@ -52,12 +53,13 @@ class Terminal:
         self.first: float | None = None
         self.last = self.start if not self.rewrite else -1e9
         self.width = 0
+        self.lost = False
 
     def __call__(self, fraction: float, what: str) -> None:
         now = self.now()
         if self.first is None and not math.isnan(fraction):
             self.start, self.first = now, fraction
-        if now - self.last < self.interval:
+        if self.lost or now - self.last < self.interval:
             return
         self.last = now
         self._write(self.line(fraction, what, now))
@@ -71,18 +73,20 @@ class Terminal:
         return f"{100 * min(max(fraction, 0.0), 1.0):3.0f} % {what} ({clock(spent)}{left})"
 
     def _write(self, text: str) -> None:
-        if self.rewrite:
-            self.stream.write("\r" + text.ljust(self.width))
-            self.width = len(text)
-        else:
-            self.stream.write(text + "\n")
-        self.stream.flush()
+        self._put("\r" + text.ljust(self.width) if self.rewrite else text + "\n")
+        self.width = len(text)
+
+    def _put(self, text: str) -> None:
+        try:
+            self.stream.write(text)
+            self.stream.flush()
+        except (OSError, ValueError):
+            self.lost = True
 
     def close(self) -> None:
         """Clear the line that is being rewritten."""
-        if self.rewrite and self.width:
-            self.stream.write("\r" + " " * self.width + "\r")
-            self.stream.flush()
+        if self.rewrite and self.width and not self.lost:
+            self._put("\r" + " " * self.width + "\r")
             self.width = 0
 
     def __enter__(self) -> Terminal:

@@ -1,16 +1,15 @@
 """What the commands leave behind: report.json, states per frame, and the table at the end.
 
-All files are written under another name and put in place at once, so whoever reads meets a whole file, also after a crash or Ctrl-C.
+All files are written under another name and put in place at once (`files`), so whoever reads meets a whole file, also after a crash or Ctrl-C.
 """
 
 from __future__ import annotations
 
-import hashlib
+import itertools
 import json
 import os
-import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError
+from .files import alone, check_writable, replacing
 from .progress import clock
 from .scene import F32, F64, I32, I64, U8, Records
 from .usage import peak_memory
@@ -25,62 +25,43 @@ from .usage import peak_memory
 SCHEMA = 1
 HEADER = ("scene", "blender", "lipac", "policy", "engine", "seed")
 SECONDS = ("sync_s", "build_s", "trace_s", "feedback_s", "writeback_s", "render_s")
-SUMS = (*SECONDS, "blas_built", "paths", "rays", "iterations")
+SUMS = (*SECONDS, "verify_s", "blas_built", "paths", "rays", "iterations")
 LARGEST = ("blas_bytes", "tlas_bytes")
 COUNTS = ("instances", "active", "pending", "culled", "hitboxes", "meshes")
 FIELDS = ("frame", *COUNTS, "blas_built", *LARGEST, *SECONDS, "paths", "rays", "iterations")
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A path to write to, in the same folder and with the same suffix, that takes the place of `path` when the block ends without an error."""
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        yield part
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-@contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """A block that no other process is in for the same folder."""
-    if os.name == "nt":
-        import msvcrt
-
-        name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
-        with (Path(tempfile.gettempdir()) / f"lipac-{name}.lock").open("a+") as file:
-            msvcrt.locking(file.fileno(), msvcrt.LK_LOCK, 1)  # type: ignore[attr-defined]
-            yield
-        return
-    import fcntl
-
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):  # file systems without locks
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
-
-
 def _found(folder: Path) -> dict[str, Any] | None:
     """The report in a folder, None where there is none of this schema."""
+    path = folder / "report.json"
     try:
-        data = json.loads((folder / "report.json").read_text())
-    except (OSError, ValueError):
+        data = json.loads(path.read_text()) if path.is_file() else None
+    except (OSError, ValueError, RecursionError):
         return None
-    whole = isinstance(data, dict) and data.get("schema") == SCHEMA and {*HEADER, "frames", "totals", "approximated", "warnings", "options"} <= data.keys()
-    return data if whole else None
+    return data if isinstance(data, dict) and _is_report(data) else None
+
+
+def _is_report(data: dict[str, Any]) -> bool:
+    """Whether it has all that is read of a report."""
+    frames, totals, options = (data.get(name) for name in ("frames", "totals", "options"))
+    lines = [data.get(name) for name in ("approximated", "warnings")]
+    return (
+        data.get("schema") == SCHEMA
+        and {*HEADER} <= data.keys()
+        and isinstance(options, dict)
+        and isinstance(totals, dict)
+        and isinstance(totals.get("peak_bytes"), int)
+        and all(isinstance(part, list) and all(isinstance(line, str) for line in part) for part in lines)
+        and isinstance(frames, list)
+        and all(isinstance(f, dict) and isinstance(f.get("frame"), int) and all(isinstance(f.get(name), int | float) for name in FIELDS) for f in frames)
+    )
 
 
 def output_folder(path: Path) -> Path:
     """The folder, created where it is missing. Raises InputError where nothing can be written into it."""
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".lipac"
-        probe.write_bytes(b"")
-        probe.unlink()
+        check_writable(path)
     except OSError as error:
         raise InputError(f"cannot write to the output folder {path}: {error.strerror or error}; choose another with -o") from error
     return path
@@ -93,6 +74,8 @@ class Report:
     Header fields as in the file; options: whatever else the results depend on, by name, plain values. frames: one dict per frame that this command finished,
     with `FIELDS` and where measured `error`; missing fields count as 0. approximated: what the engine renders differently from Blender; warnings: other lines
     for the user. Both without repetitions, in order of appearance.
+
+    began: `time.monotonic()` when the command began, None where its seconds are those of its steps alone.
 
     A folder may be filled by several commands, one after the other or at the same time: the file keeps the frames of all that had the same header, but for
     the number of threads.
@@ -109,6 +92,8 @@ class Report:
     frames: list[dict[str, Any]] = field(default_factory=list)
     approximated: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    began: float | None = None
+    _counted: float = field(default=0.0, init=False, repr=False)
 
     def add_frame(self, frame: dict[str, Any], approximated: Iterable[str] = (), warnings: Iterable[str] = ()) -> None:
         """Add a finished frame and what was noticed in it."""
@@ -126,11 +111,20 @@ class Report:
                 lines.append(line)
 
     def totals(self, frames: Sequence[dict[str, Any]] | None = None) -> dict[str, Any]:
-        """Sums over frames, by default this command's, of seconds and of work done, the largest of bytes held, and the process's peak memory (0: unknown)."""
+        """Sums over frames, by default this command's, of seconds and of work done, the largest of bytes held, and the process's peak memory (0: unknown).
+
+        wall_s: seconds from the command's begin until now, all that it did included.
+        """
         frames = self.frames if frames is None else frames
-        sums = {name: sum(f[name] for f in frames) for name in SUMS}
+        sums = {name: sum(f.get(name, 0) for f in frames) for name in SUMS}
         largest = {name: max((f[name] for f in frames), default=0) for name in LARGEST}
-        return {"frames": len(frames), **sums, **largest, "peak_bytes": peak_memory()}
+        return {"frames": len(frames), **sums, **largest, "wall_s": self.seconds(), "peak_bytes": peak_memory()}
+
+    def seconds(self) -> float:
+        """From the command's begin until now; without that, of the steps of its frames, what overlaps counted once."""
+        if self.began is not None:
+            return time.monotonic() - self.began
+        return float(sum(f.get(name, 0.0) for f in self.frames for name in (*SECONDS, "verify_s")) - sum(f.get("overlap_s", 0.0) for f in self.frames))
 
     def as_dict(self) -> dict[str, Any]:
         """The contents of report.json, of this command alone."""
@@ -149,16 +143,20 @@ class Report:
         return None if found is None or self._differences(found) else {frame["frame"] for frame in found["frames"]}
 
     def write(self, folder: Path) -> None:
-        """Write folder/report.json: the frames that it has already, where it is of the same kind, and this command's."""
+        """Write folder/report.json: the frames that it has already, where it is of the same kind, and this command's. Another is kept beside."""
         with alone(folder):
             data, found = self.as_dict(), _found(folder)
+            if (found is None or self._differences(found)) and (found is None or found["frames"]):
+                _keep_beside(folder / "report.json")
             if found is not None and not self._differences(found):
                 own = {frame["frame"] for frame in self.frames}
                 data["frames"] = sorted([*(f for f in found["frames"] if f["frame"] not in own), *self.frames], key=lambda f: int(f["frame"]))
                 totals = self.totals(data["frames"])
-                data["totals"] = totals | {"peak_bytes": max(totals["peak_bytes"], found["totals"]["peak_bytes"])}
+                spent = found["totals"].get("wall_s", 0.0) + data["totals"]["wall_s"] - self._counted  # what this command spent since it last wrote
+                data["totals"] = totals | {"wall_s": spent, "peak_bytes": max(totals["peak_bytes"], found["totals"]["peak_bytes"])}
                 for name in ("approximated", "warnings"):
                     data[name] = list(dict.fromkeys([*found[name], *data[name]]))
+            self._counted = self.seconds()
             with replacing(folder / "report.json") as part:
                 part.write_text(json.dumps(data, indent=1, default=_number) + "\n")
 
@@ -180,8 +178,10 @@ class Report:
             for f in self.frames
         ]
         totals = self.totals()
-        together = sum(f.get("overlap_s", 0.0) for f in self.frames)  # counted twice
-        last = f"{sum(totals[name] for name in SECONDS) - together:.1f} s in all, of which {totals['render_s']:.1f} s rendering"
+        everything = totals["wall_s"]
+        last = f"{everything:.1f} s in all, of which {min(totals['render_s'], everything):.1f} s rendering"  # what two threads do at a time counts twice there
+        if totals["verify_s"]:
+            last += f", {totals['verify_s']:.1f} s verifying"
         peak = f"; peak memory {size(totals['peak_bytes'])}" if totals["peak_bytes"] else ""
         return "\n".join([*_aligned([head, *rows]), *self._error(), last + peak])
 
@@ -253,6 +253,17 @@ def _renamed(host: I32, ob: I32, names: Sequence[str]) -> tuple[I32, I32, list[s
     place = np.full(len(names) + 1, -1, np.int32)  # the last is that of -1
     place[used] = np.arange(len(used))
     return place[host], place[ob], [names[n] for n in used]
+
+
+def _keep_beside(path: Path) -> None:
+    """Give a file, if there is one, a name of its own: report_earlier_1.json."""
+    if not os.path.lexists(path):
+        return
+    for k in itertools.count(1):
+        other = path.with_name(f"{path.stem}_earlier_{k}{path.suffix}")
+        if not os.path.lexists(other):
+            os.rename(path, other)
+            return
 
 
 def size(count: float) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ..core.errors import InputError
-from ..core.report import replacing
+from ..core.files import replacing
 from .console import muted
 
 

@@ -6,7 +6,8 @@ import ctypes
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
+from typing import TextIO
 
 DEBUG = "LIPAC_DEBUG"
 
@@ -22,9 +23,13 @@ def muted() -> Iterator[None]:
     _flush()
     with ExitStack() as stack:
         sink = os.dup(2) if debugging() else os.open(os.devnull, os.O_WRONLY)
-        text = stack.enter_context(os.fdopen(sink, "w"))
+        text = os.fdopen(sink, "w")
+        stack.callback(_close, text)
         for fd in (1, 2):
-            saved = os.dup(fd)
+            try:
+                saved = os.dup(fd)
+            except OSError:  # it is closed
+                continue
             stack.callback(os.close, saved)
             stack.callback(os.dup2, saved, fd)
             os.dup2(sink, fd)
@@ -34,9 +39,16 @@ def muted() -> Iterator[None]:
         yield
 
 
+def _close(text: TextIO) -> None:
+    with suppress(OSError, ValueError):  # nobody reads it any more
+        text.close()
+
+
 def _flush() -> None:
     """Empty the buffers of Python and of C, so that what was printed lands where it belongs."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            with suppress(OSError, ValueError):
+                stream.flush()
     library = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
     library.fflush(None)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 import numpy as np
@@ -21,6 +21,9 @@ from ..core.scene import Scene
 from .console import muted
 from .extract.depsgraph import changed, rendered_layers
 from .pictures import save_pixels, save_render_result
+
+if TYPE_CHECKING:
+    from ..core.blas import BlasCache
 
 BLENDER_ENGINES = {"cycles": "CYCLES", "eevee": "BLENDER_EEVEE"}
 ENGINES = (*BLENDER_ENGINES, "hybrid", "path")
@@ -44,6 +47,8 @@ def left_out(scene: bpy.types.Scene, engine: str) -> list[str]:
         out.append("stereo: one view is rendered, by the camera itself")
     if render.use_freestyle and engine in BLENDER_ENGINES:
         out.append("Freestyle: lines of what is culled are not drawn")
+    if engine in BLENDER_ENGINES and len(used := rendered_layers(scene)) > 1 and not (render.use_compositing and scene.compositing_node_group):
+        out.append(f"view layers: the picture is of '{used[0]}', of {len(used)} that were analysed")
     if engine in ("hybrid", "path"):
         if len(used := rendered_layers(scene)) > 1:
             out.append(f"view layers: '{used[0]}' alone is rendered, of {len(used)}")
@@ -94,10 +99,12 @@ def render_path(
     threads: int = 0,
     progress: Progress = silent,
     cancelled: Callable[[], bool] | None = None,
+    blas: BlasCache | None = None,
 ) -> float:
     """Render the active instances, (N,) bool, of a core scene by the path tracer, save stem.exr and stem.png, and return the seconds, building included.
 
-    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png. Raises Cancelled, and saves nothing, where cancelled() says so.
+    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png. blas: of the scene's meshes, what is built already.
+    Raises Cancelled, and saves nothing, where cancelled() says so.
     """
     from ..core.blas import BlasCache
     from ..core.embree import shared_device
@@ -106,7 +113,7 @@ def render_path(
 
     blender_scene = bpy.context.scene
     start = time.perf_counter()
-    blas = BlasCache(scene.meshes, shared_device(threads))
+    blas = BlasCache(scene.meshes, shared_device(threads)) if blas is None else blas
     prepared = prepare(scene, blas).with_emitters(active)
     blas.need(scene.instances.mesh[active])
     tlas = Tlas(scene.instances, blas, active)
@@ -170,7 +177,7 @@ def _stats(progress: Progress) -> Iterator[None]:
 @contextmanager
 def _ctrl_c_ends_the_process() -> Iterator[None]:
     """Blender looks at no signal while it renders and Python at none until it is done; the system's own handling is what works."""
-    if threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield
         return
     old = signal.signal(signal.SIGINT, signal.SIG_DFL)

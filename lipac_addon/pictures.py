@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.report import replacing
+from ..core.files import replacing
 from ..core.scene import F32
 from .extract.depsgraph import changed, render_result
 
@@ -61,7 +61,7 @@ def read_picture(path: Path) -> F32:
 
 
 def _save(image: bpy.types.Image, scene: bpy.types.Scene, stem: Path) -> None:
-    """Raises OSError where a picture cannot be written: a full disk, a folder that is gone."""
+    """Raises OSError where a picture cannot be written whole, which Blender does not say itself: a full disk, a folder that is gone."""
     for suffix, values in _FORMATS.items():
         path = stem.with_name(stem.name + suffix)
         with replacing(path) as part, _settings(scene, values):

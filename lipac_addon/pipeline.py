@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import json
 import time
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,27 +15,34 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from ..core.culling import CullOptions, State
-from ..core.errors import Cancelled
+from ..core.boxes import existing
+from ..core.culling import CullOptions, State, heuristic
+from ..core.errors import Cancelled, NothingToAnalyse
+from ..core.files import alone, is_whole, sweep
 from ..core.progress import Progress, part, silent
-from ..core.report import Report, alone, load_states, save_states
-from ..core.scene import RAY_TYPES, Scene
+from ..core.report import Report, States, load_states, save_states
+from ..core.scene import F32, F64, I64, RAY_TYPES, U8, Records, Scene
 from . import writeback
 from .baked import save_baked
 from .console import muted
 from .counting import counting
 from .engines import BLENDER_ENGINES, left_out, render_blender, render_path, samples_of
 from .extract import Extraction, Extractor
+from .extract.depsgraph import rendered_layers
 from .hybrid import HybridOptions, render_hybrid
-from .keys import Keys, any_of
+from .keys import KEY, Keys, any_of
 from .shot_set import ShotSet
 
 if TYPE_CHECKING:
+    from ..core.blas import BlasCache
     from ..core.frames import Shot
     from ..core.loop import CullingResult
 
 ANALYSIS_SHARE = 0.2  # of a frame's progress, where it is rendered too
 FRAME, SHOT = "frame", "shot"
+SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays", "iterations", "calibration_paths")  # over view layers, and what ends in _s
+TRIES = 3
+UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 Cancel = Callable[[], bool]
 
 
@@ -93,8 +102,8 @@ class Job:
         return [stem.with_name(stem.name + end) for end in [*endings, *(["_layers.exr"] if self.engine == "hybrid" else [])]]
 
     def is_finished(self, frame: int) -> bool:
-        """Whether the folder has all files of a frame."""
-        return all(path.exists() for path in (self.states(frame), *self.pictures(frame)))
+        """Whether the folder has all files of a frame, each of them whole."""
+        return all(is_whole(path) for path in (self.states(frame), *self.pictures(frame)))
 
     @property
     def whole(self) -> bool:
@@ -110,10 +119,8 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     (job.folder / "states").mkdir(parents=True, exist_ok=True)
     reported = report.finished(job.folder)
     finished = {frame for frame in reported or () if job.resume and job.is_finished(frame)}
-    with alone(job.folder):
-        _sweep(job, keep_analyses=reported is not None and (job.resume or bool(job.shot)))
+    _sweep(job, keep_analyses=reported is not None and (job.resume or bool(job.shot)))
     report.note(report.approximated, left_out(bpy.context.scene, job.engine))
-    report.write(job.folder)
     with muted():
         writeback.restore()
     try:
@@ -128,19 +135,24 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
 
 def _sweep(job: Job, keep_analyses: bool) -> None:
     """Remove what a command that was killed left of files of these frames that it had begun to write; analyses for shots too, where they are not to be kept."""
-    for frame in job.frames:
-        for path in (job.states(frame), job.analysis(frame), *job.pictures(frame)):
-            path.with_name(f".{path.stem}.part{path.suffix}").unlink(missing_ok=True)
-    for frame in () if keep_analyses else job.shot or job.frames:
-        job.analysis(frame).unlink(missing_ok=True)
+    stems = {f"frame_{frame:04}" for frame in job.frames}
+    sweep(job.folder, stems | {f"{stem}_layers" for stem in stems})
+    for folder in (job.folder / "states", job.folder / "analysis"):
+        sweep(folder, stems)
+    unwanted = set() if keep_analyses else {job.analysis(frame).name for frame in job.shot or job.frames}
+    with alone(job.folder):
+        for path in (job.folder / "analysis").glob("frame_*.npz"):
+            if path.name in unwanted:
+                path.unlink(missing_ok=True)
 
 
 class Session:
-    """What goes from frame to frame of a job: the extractor, and the loop."""
+    """What goes from frame to frame of a job, for one view layer: the extractor, and the loop."""
 
-    def __init__(self, job: Job) -> None:
-        self.job = job
-        self.keep = job.engine in ("", "path") and len(job.frames) > 1  # other engines make Blender free the graph
+    def __init__(self, job: Job, layer: str | None = None, keep: bool = True) -> None:
+        """layer: name, None takes the first that renders. keep: hold Blender's graph from frame to frame, where that pays: one at a time can."""
+        self.job, self.layer = job, layer
+        self.keep = keep and job.engine in ("", "path") and len(job.frames) > 1  # other engines make Blender free the graph
         self._extractor: Extractor | None = None
         self._shot: Shot | None = None
         self._pinned: np.ndarray | None = None  # what the frame needs at other moments of its exposure
@@ -169,7 +181,8 @@ class Session:
         start = time.perf_counter()
         with muted():
             writeback.restore()
-            self._extractor = self._extractor or Extractor(bpy.context.scene, exposed=self.job.engine in ("", *BLENDER_ENGINES))
+            exposed = self.job.engine in ("", *BLENDER_ENGINES)
+            self._extractor = self._extractor or Extractor(bpy.context.scene, self.layer, exposed=exposed)
             extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
         self._pinned = None
         return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}
@@ -199,9 +212,126 @@ class Session:
         """Which instances of the frame that was extracted last stay. scene: what to look at in its place, with the same instances and meshes."""
         from ..core.frames import Shot
 
+        if self.job.options.policy != "light-paths" and self.job.engine in BLENDER_ENGINES:
+            return _by_rule(extraction.scene, self.job.options, self._pinned)
         if self._shot is None:
             self._shot = Shot(self.job.options, independent=not self.job.warm)
         return self._shot.advance(scene or extraction.scene, extraction.change, progress, cancelled, self._pinned)
+
+    @property
+    def blas(self) -> BlasCache | None:
+        """What the last decision has built, of the meshes of the frame that was extracted last."""
+        return None if self._shot is None or self._shot.loop is None else self._shot.loop.blas
+
+
+def _by_rule(scene: Scene, options: CullOptions, pinned: np.ndarray | None) -> CullingResult:
+    """What a policy without light paths keeps, and pinned, (N,) bool. No mesh need be read for it: the engine builds its own structures."""
+    from ..core.loop import CullingResult
+
+    start = time.perf_counter()
+    keep = heuristic(scene, options) & existing(scene.instances.bounds)
+    keep |= False if pinned is None else pinned
+    n, active = len(keep), int(np.count_nonzero(keep))
+    meshes = len(np.unique(scene.instances.mesh[keep]))
+    stats = {"instances": n, "active": active, "pending": 0, "culled": n - active, "meshes": meshes, "feedback_s": time.perf_counter() - start}
+    nothing = np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64), np.zeros((0, 2, 3), np.float32)
+    return CullingResult(np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED)), *nothing, stats)
+
+
+def sessions_of(job: Job) -> list[Session]:
+    """One for each view layer that the job's engine renders."""
+    layers = rendered_layers(bpy.context.scene) if job.engine in ("", *BLENDER_ENGINES) else ()
+    return [Session(job, layer, keep=len(layers) == 1) for layer in layers] or [Session(job)]
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What was decided on a frame, for all its view layers. state (N,), score (N,), hits (N, RAY_TYPES), boxes (H, 2, 3): as of `CullingResult`, boxes in the
+    world; records, names: its keys; entry: for the report."""
+
+    state: U8
+    score: F32
+    hits: I64
+    boxes: F64
+    records: Records
+    names: tuple[str, ...]
+    entry: dict[str, Any]
+    approximated: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def keys(self) -> Keys:
+        """Of the N instances."""
+        return Keys(self.records, self.names)
+
+    def save(self, path: Path, note: str = "") -> None:
+        """As a file of states."""
+        save_states(path, self.state, self.score, self.hits, self.records, self.names, note, self.boxes)
+
+    @property
+    def states(self) -> States:
+        """As they would be read again."""
+        return States(self.state, self.score, self.hits, {name: self.records[name] for name in ("kind", "host", "object", "path")}, self.names)
+
+
+def _decided(extraction: Extraction, result: CullingResult, entry: dict[str, Any]) -> Decided:
+    scene, keys = extraction.scene, extraction.keys
+    boxes = result.boxes + scene.origin
+    return Decided(result.state, result.score, result.hits, boxes, keys.records, keys.names, entry | result.stats, scene.approximated, extraction.warnings)
+
+
+def decide_layers(sessions: Sequence[Session], frame: int, last: bool, progress: Progress = silent, cancelled: Cancel = never) -> Decided:
+    """Decide a frame by what each view layer needs: an instance that one of them needs stays. last: as in `run_frame`.
+
+    Where no layer shows anything that light paths can be traced in, but something all the same, nothing is culled. Raises NothingToAnalyse, Cancelled.
+    """
+    parts, shown = [], dict[str, None]()
+    for k, session in enumerate(sessions):
+        within = part(progress, k / len(sessions), (k + 1) / len(sessions), f"view layer {session.layer}: " if len(sessions) > 1 else "")
+        try:
+            extraction, entry = session.sync(frame)
+        except NothingToAnalyse as error:
+            shown |= dict.fromkeys(error.shown)
+            continue
+        check(cancelled)
+        extraction = session.expose(extraction, frame, within, cancelled)
+        if last:
+            session.end_reading()
+        check(cancelled)
+        result = session.decide(extraction, None, within, cancelled)
+        check(cancelled)
+        if not session.job.engine:
+            entry |= _verified(session.job, extraction.scene, result.active, silent, cancelled)
+        parts.append(_decided(extraction, result, entry))
+        if last:
+            session.forget()
+    if not parts and not shown:
+        raise NothingToAnalyse
+    if not parts:
+        nothing = np.zeros(0, np.uint8), np.zeros(0, np.float32), np.zeros((0, RAY_TYPES), np.int64), np.zeros((0, 2, 3))
+        return Decided(*nothing, np.zeros(0, KEY), (), {"frame": frame}, tuple(shown), (str(NothingToAnalyse([*shown])) + "; all is rendered",))
+    return parts[0] if len(parts) == 1 else _united(parts)
+
+
+def _united(parts: Sequence[Decided]) -> Decided:
+    """What several view layers need of a frame together; what each needs is decided by its own picture."""
+    together = ShotSet()
+    for one in parts:
+        together.add(one.states)
+    n = len(together.active)
+    state, score, hits = np.zeros(n, np.uint8), np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64)
+    for one in parts:
+        rows = together.rows(one.states)
+        state[rows], score[rows] = np.maximum(state[rows], one.state), np.maximum(score[rows], one.score)
+        hits[rows] += one.hits
+    entry: dict[str, Any] = {}
+    for name in dict.fromkeys(name for one in parts for name in one.entry):
+        values = [one.entry[name] for one in parts if name in one.entry]
+        entry[name] = sum(values) if name in SUMS or name.endswith("_s") else max(values) if isinstance(values[0], int | float) else values[0]
+    counts = np.bincount(state, minlength=len(State)).tolist()
+    entry |= {"instances": n, "active": counts[State.ACTIVE], "pending": counts[State.PENDING], "culled": counts[State.CULLED], "view_layers": len(parts)}
+    lines = [tuple(dict.fromkeys(line for one in parts for line in getattr(one, name))) for name in ("approximated", "warnings")]
+    return Decided(state, score, hits, np.concatenate([one.boxes for one in parts]), together.keys.records, together.keys.names, entry, *lines)
 
 
 # Each frame by itself
@@ -209,57 +339,72 @@ class Session:
 
 def _run_frames(job: Job, finished: set[int], report: Report, progress: Progress, cancelled: Cancel) -> None:
     todo = [frame for frame in job.frames if job.warm or frame not in finished]
-    with Session(job) as session:
+    with ExitStack() as stack:
+        sessions = [stack.enter_context(session) for session in sessions_of(job)]
         for k, frame in enumerate(todo):
             check(cancelled)
             name = f"frame {frame}: " if len(job.frames) > 1 else ""
             within = part(progress, k / len(todo), (k + 1) / len(todo), name)
             if frame in finished:  # only to know what the next one begins with
-                session.decide(session.sync(frame)[0], None, within, cancelled)
+                decide_layers(sessions, frame, False, within, cancelled)
                 continue
-            run_frame(session, frame, report, within, cancelled, last=frame == todo[-1])
+            run_frame(sessions, frame, report, within, cancelled, last=frame == todo[-1])
             report.write(job.folder)
 
 
-def run_frame(session: Session, frame: int, report: Report, progress: Progress = silent, cancelled: Cancel = never, last: bool = True) -> None:
-    """One frame of a job, added to the report. last: nothing follows, so nothing need be kept for it. Raises Cancelled."""
-    job = session.job
+def run_frame(
+    sessions: Sequence[Session], frame: int, report: Report, progress: Progress = silent, cancelled: Cancel = never, last: bool = True
+) -> None:
+    """One frame of a job, added to the report. last: nothing follows, so nothing need be kept for it. Raises InputError, Cancelled."""
+    job = sessions[0].job
     if job.whole:
         report.add_frame(_render_whole(job, frame, progress))
         return
+    if job.engine in ("", *BLENDER_ENGINES):
+        within = part(progress, 0.0, ANALYSIS_SHARE if job.engine else 1.0)
+        decided = decide_layers(sessions, frame, last, within, cancelled)
+        decided.save(job.states(frame))
+        entry, warnings = decided.entry, decided.warnings
+        if job.engine:
+            warnings = (*warnings, *write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry))
+            approximated = decided.approximated
+            del decided
+            for session in sessions if last else ():
+                session.close()  # the render needs the memory
+            gc.collect()
+            rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
+            entry["render_s"] = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, rest)
+            entry |= _verified(job, None, None, rest, cancelled)
+            report.add_frame(entry, approximated, warnings)
+        else:
+            report.add_frame(entry, decided.approximated, warnings)
+        return
+    decided = _by_ours(sessions[0], frame, progress, cancelled, last)
+    report.add_frame(decided.entry, decided.approximated, decided.warnings)
+
+
+def _by_ours(session: Session, frame: int, progress: Progress, cancelled: Cancel, last: bool) -> Decided:
+    """Decide and render a frame by one of our engines."""
+    job = session.job
     extraction, entry = session.sync(frame)
-    check(cancelled)
-    extraction = session.expose(extraction, frame, part(progress, 0.0, ANALYSIS_SHARE), cancelled)
     if last:
         session.end_reading()
-    approximated, warnings = extraction.scene.approximated, extraction.warnings
+    check(cancelled)
     if job.engine == "hybrid":
         result = _hybrid(job, extraction, entry, progress, cancelled, lambda scene: session.decide(extraction, scene, part(progress, 0.0, 0.3), cancelled))
     else:
-        result = session.decide(extraction, None, part(progress, 0.0, ANALYSIS_SHARE if job.engine else 1.0), cancelled)
+        result = session.decide(extraction, None, part(progress, 0.0, ANALYSIS_SHARE), cancelled)
         check(cancelled)
-        entry |= result.stats
+    blas = session.blas
     if last:
         session.forget()
-    keys = extraction.keys
-    boxes = result.boxes + extraction.scene.origin
-    save_states(job.states(frame), result.state, result.score, result.hits, keys.records, keys.names, boxes=boxes)
-    rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
-    if not job.engine:
-        entry |= _verified(job, extraction.scene, result.active, rest, cancelled)
+    decided = _decided(extraction, result, entry)
+    decided.save(job.states(frame))
     if job.engine == "path":
-        entry["render_s"] = render_path(extraction.scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled)
-        entry |= _verified(job, extraction.scene, result.active, rest, cancelled)
-    elif job.engine in BLENDER_ENGINES:
-        warnings = (*warnings, *write_back(np.asarray(result.state == State.CULLED), keys, entry))
-        del extraction, result, keys
-        if last:
-            session.close()  # the render needs the memory
-        else:
-            gc.collect()
-        entry["render_s"] = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, rest)
-        entry |= _verified(job, None, None, rest, cancelled)
-    report.add_frame(entry, approximated, warnings)
+        entry, scene, rest = decided.entry, extraction.scene, part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
+        entry["render_s"] = render_path(scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled, blas)
+        entry |= _verified(job, scene, result.active, rest, cancelled)
+    return decided
 
 
 def _verified(job: Job, scene: Scene | None, active: np.ndarray | None, progress: Progress, cancelled: Cancel) -> dict[str, object]:
@@ -268,9 +413,13 @@ def _verified(job: Job, scene: Scene | None, active: np.ndarray | None, progress
         return {}
     from .verify import verified_blender, verified_path
 
+    start = time.perf_counter()
     if scene is None or active is None:
-        return verified_blender(job.engine, job.samples, job.seed, job.threads, job.verify, progress).entry()
-    return verified_path(scene, active, job.samples or samples_of(bpy.context.scene, "path"), job.seed, job.threads, job.verify, cancelled).entry()
+        found = verified_blender(job.engine, job.samples, job.seed, job.threads, job.verify, progress)
+    else:
+        samples = job.samples or samples_of(bpy.context.scene, "path")
+        found = verified_path(scene, active, samples, job.seed, job.threads, job.verify, cancelled)
+    return {**found.entry(), "verify_s": time.perf_counter() - start}
 
 
 def _hybrid(
@@ -316,9 +465,19 @@ def _run_shot(job: Job, finished: set[int], report: Report, progress: Progress, 
     """Find out what each frame of the shot needs; then do the job's with what any of them does."""
     share = ANALYSIS_SHARE if job.engine else 0.9
     _analyse(job, report, part(progress, 0.0, share), cancelled)
+
+    def needed(frame: int) -> States:
+        """What a frame needs by itself. Another process that begins anew in the same folder may have removed it, or a fault have damaged it."""
+        for _ in range(TRIES):
+            try:
+                return load_states(job.analysis(frame))
+            except UNREADABLE:
+                _analyse(job, report, silent, cancelled)
+        return load_states(job.analysis(frame))
+
     shot = ShotSet()
     for frame in job.shot or job.frames:
-        shot.add(load_states(job.analysis(frame)))
+        shot.add(needed(frame))
     if job.save is not None or job.engine in BLENDER_ENGINES:
         written: dict[str, Any] = {}
         report.note(report.warnings, write_back(~shot.active, shot.keys, written, lasting=job.save is not None))
@@ -330,7 +489,7 @@ def _run_shot(job: Job, finished: set[int], report: Report, progress: Progress, 
             if frame in finished:
                 continue
             within = part(progress, share + (1 - share) * k / len(job.frames), share + (1 - share) * (k + 1) / len(job.frames), f"frame {frame}: ")
-            states = load_states(job.analysis(frame))
+            states = needed(frame)
             active = shot.of(states)
             entry: dict[str, Any] = json.loads(states.note)
             entry |= {"needed": entry["active"], "active": int(active.sum()), "culled": int((~active).sum()), "pending": 0}
@@ -371,22 +530,18 @@ def _analyse(job: Job, report: Report, progress: Progress, cancelled: Cancel) ->
     """
     (job.folder / "analysis").mkdir(exist_ok=True)
     others = [frame for frame in reversed(job.shot) if frame not in job.frames]
-    todo = [frame for frame in (*job.frames, *others) if job.warm or not job.analysis(frame).exists()]
-    with Session(job) as session:
+    todo = [frame for frame in (*job.frames, *others) if job.warm or not is_whole(job.analysis(frame))]
+    with ExitStack() as stack:
+        sessions = [stack.enter_context(session) for session in sessions_of(job)]
         for k, frame in enumerate(todo):
-            if not job.warm and job.analysis(frame).exists():
+            if not job.warm and is_whole(job.analysis(frame)):
                 continue
-            within = part(progress, k / len(todo), (k + 1) / len(todo), f"frame {frame}: ")
-            extraction, entry = session.sync(frame)
             check(cancelled)
-            extraction = session.expose(extraction, frame, within, cancelled)
-            result = session.decide(extraction, None, within, cancelled)
-            entry |= result.stats
-            keys = extraction.keys
+            within = part(progress, k / len(todo), (k + 1) / len(todo), f"frame {frame}: ")
+            decided = decide_layers(sessions, frame, False, within, cancelled)
             with alone(job.folder):
-                if not job.analysis(frame).exists():
-                    note = json.dumps(entry, default=float)
-                    save_states(job.analysis(frame), result.state, result.score, result.hits, keys.records, keys.names, note)
-            report.note(report.approximated, extraction.scene.approximated)
-            report.note(report.warnings, extraction.warnings)
+                if not is_whole(job.analysis(frame)):
+                    decided.save(job.analysis(frame), json.dumps(decided.entry, default=float))
+            report.note(report.approximated, decided.approximated)
+            report.note(report.warnings, decided.warnings)
             report.write(job.folder)

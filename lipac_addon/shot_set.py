@@ -39,10 +39,14 @@ class ShotSet:
 
     def of(self, states: States) -> NDArray[np.bool_]:
         """Which of a frame's instances, (n,) bool, are active. Raises ValueError where the frame was not added."""
+        return self.active[self.rows(states)]
+
+    def rows(self, states: States) -> NDArray[np.intp]:
+        """Which of `keys` each of a frame's instances is: (n,). Raises ValueError where the frame was not added."""
         rows, known = self._rows(self.records_of(states))
         if not known.all():
             raise ValueError("a frame with instances that were not added")
-        return self.active[rows]
+        return rows
 
     def records_of(self, states: States) -> Records:
         """The keys of a frame as records of KEY, by the names of `keys`."""

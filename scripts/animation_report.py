@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.report import replacing, size
+from ..core.files import replacing
+from ..core.report import size
 from .compare import markdown
 
 if TYPE_CHECKING:

@@ -369,7 +369,7 @@ def _memory(folder: Path, name: str, count: int, last: int) -> dict[str, Any]:
     resident, blas = [], []
     with Session(job) as session:
         for k, number in enumerate(numbers):
-            run_frame(session, number, report, last=False)
+            run_frame([session], number, report, last=False)
             resident.append(_resident())
             blas.append(int(report.frames[-1]["blas_held_bytes"]))
             if k % 100 == 99:
@@ -387,7 +387,7 @@ def pictures(folder: Path) -> dict[str, Any]:
     """A picture of either demo as culled, by Cycles, and its TLAS from above: folder/crowd.png, folder/flythrough.png."""
     from matplotlib.image import imsave
 
-    from ..core.report import replacing
+    from ..core.files import replacing
 
     for name, count, frame in (("crowd", FIGURES, 24), ("flythrough", 20_000, 84)):
         scene, out = folder / f"{name}.blend", folder / f"picture-{name}"

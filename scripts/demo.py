@@ -7,10 +7,12 @@ from collections.abc import Sequence
 
 def main(argv: Sequence[str]) -> int:
     """Build the scene and save it; returns the exit status."""
+    import sys
     from pathlib import Path
 
-    from ..core.errors import InputError
-    from .options import Parser, count
+    from ..core.errors import Cancelled, InputError
+    from .options import Parser, count, ctrl_c, seed_number
+    from .streams import say
 
     parser = Parser(
         prog="lipac demo",
@@ -22,26 +24,29 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.blend")
     parser.add_argument("--instances", type=count, metavar="N", help="in the city: 1,000 to 1,000,000; in the crowd: figures, 1 to 20,000")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="crowd: an animated character, .glb for example (default: a plain figure of our own)")
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="the same seed gives the same scene (default: 0)")
+    parser.add_argument("--seed", type=seed_number, default=0, metavar="S", help="the same seed gives the same scene (default: 0)")
     parser.add_argument("--quiet", action="store_true", help="print nothing")
     args = parser.parse_args(argv)
     if args.output.suffix.lower() != ".blend":
         raise InputError(f"-o {args.output}: the name of the file must end in .blend")
-    from ..core.report import output_folder, replacing
+    from ..core.files import replacing
+    from ..core.report import output_folder
 
     output_folder(args.output.parent)
     from ..lipac_addon.console import muted
 
-    with muted():
+    with ctrl_c() as cancelled, muted():
         import bpy
 
         from ..lipac_addon.demo import build
 
         build(args.name, args.instances, args.seed, args.figure)
         with replacing(args.output) as part:
+            if cancelled():
+                raise Cancelled
             bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), check_existing=False, copy=True)
     if not args.quiet:
-        print(args.output)
+        say(str(args.output), sys.stdout)
     return 0
 
 

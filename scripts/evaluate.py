@@ -23,7 +23,7 @@ PIECES = "build"  # folder of finished pieces, which need not be kept
 def main(argv: Sequence[str]) -> int:
     """Evaluate what the command line says; returns the exit status."""
     from ..core.report import output_folder
-    from .options import Parser, count, resolution
+    from .options import Parser, count, path_count, resolution, thread_count
 
     parser = Parser(prog="lipac evaluate", description="Measure cost and error of every culling policy. What is already measured in DIR is kept.")
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help="a scene file, as for lipac render")
@@ -32,11 +32,11 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--scenes", type=Path, default=SUPPLIED, metavar="DIR", help="with --all: where the supplied scenes are")
     parser.add_argument("--camera", metavar="NAME", help="camera to use (default: the scene's)")
     parser.add_argument("--resolution", type=resolution, default=SIZE, metavar="WxH", help="size of the pictures (default: 320x180)")
-    parser.add_argument("--samples", type=count, default=16, metavar="N", help="paths per pixel of the judge (default: %(default)s)")
+    parser.add_argument("--samples", type=path_count, default=16, metavar="N", help="paths per pixel of the judge (default: %(default)s)")
     parser.add_argument("--cycles", action="store_true", help="also render full and culled by Cycles: seconds and peak memory")
     parser.add_argument("--budget-check", type=count, metavar="SEEDS", help="also: does the error stay in the budget, over so many seeds")
     parser.add_argument("--ray-budget", action="store_true", help="also: how many paths the states need")
-    parser.add_argument("--threads", type=int, default=0, metavar="N", help="0: all cores (default)")
+    parser.add_argument("--threads", type=thread_count, default=0, metavar="N", help="0: all cores (default)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     args = parser.parse_args(argv)
     folder = output_folder(args.output)

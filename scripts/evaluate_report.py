@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..core.evaluate import BUDGETS, COUNTS, HEURISTICS, ORACLE, OURS, RANDOM, Evaluation
-from ..core.report import replacing, size
+from ..core.files import replacing
+from ..core.report import size
 from .compare import markdown
 from .hybrid_report import sections
 

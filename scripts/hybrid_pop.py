@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.culling import CullOptions
+from ..core.files import replacing
 from ..core.film import LUMINANCE
-from ..core.report import replacing
 from ..core.scene import F32
 from .evaluate_report import shown
 from .hybrid_report import pictures_folder, pop, write_page

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.report import replacing
+from ..core.files import replacing
 from .compare import markdown
 
 TRUTH, RASTER, WHOLE, CULLED, ROUGH, NOTHING, RAW = "Cycles", "EEVEE", "hybrid", "hybrid, 1 %", "hybrid, 30 %", "hybrid, all culled", "hybrid, not denoised"

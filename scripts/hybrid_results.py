@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError
+from ..core.files import replacing
 from ..core.metrics import flip, relative_mse
-from ..core.report import replacing
 from . import hybrid_report as report
 from .compare import lipac, pictures
 from .evaluate import SUPPLIED

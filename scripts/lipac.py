@@ -8,7 +8,11 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import time
 from collections.abc import Sequence
+
+from . import streams
+from .streams import say
 
 # Command: module of this folder, with a main(argv), and what it does
 COMMANDS = {
@@ -20,6 +24,14 @@ COMMANDS = {
 }
 
 
+_began = time.monotonic()
+
+
+def began() -> float:
+    """`time.monotonic()` when this command began."""
+    return _began
+
+
 def usage() -> str:
     """What `lipac --help` prints."""
     width = max(map(len, COMMANDS))
@@ -29,24 +41,34 @@ def usage() -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line, the program's own by default; returns the exit status."""
+    streams.repair()
+    try:
+        return _run(argv)
+    finally:
+        streams.finish()
+
+
+def _run(argv: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(usage())
+        say(usage(), sys.stdout)
         return 0 if arguments else 2
     name, *rest = arguments
     if name == "--version":
         from importlib.metadata import version
 
-        print(version("lipac"))
+        say(version("lipac"), sys.stdout)
         return 0
     if name not in COMMANDS:
-        print(f"lipac: unknown command '{name}'; choose one of {', '.join(COMMANDS)}", file=sys.stderr)
+        say(f"lipac: unknown command '{name}'; choose one of {', '.join(COMMANDS)}", sys.stderr)
         return 2
     return guarded(name, rest)
 
 
 def guarded(name: str, arguments: Sequence[str]) -> int:
     """Run a command; errors become one line on stderr and an exit status. LIPAC_DEBUG=1 shows where they come from."""
+    global _began  # noqa: PLW0603
+    _began = time.monotonic()
     from ..core.errors import Cancelled, InputError
 
     try:
@@ -59,15 +81,26 @@ def guarded(name: str, arguments: Sequence[str]) -> int:
     except MemoryError:
         line, status = "out of memory; lower --resolution or the number of instances, or close other programs", 1
     except OSError as error:
-        where = f" {error.filename}" if error.filename else " its files"
-        line, status = f"cannot read or write{where}: {error.strerror or error}; finished frames are kept; free space or choose another folder with -o", 1
+        line, status = _lost(error), 1
     except Exception as error:
         if os.environ.get("LIPAC_DEBUG", "") not in ("", "0"):
             raise
         first = str(error).strip().splitlines()[:1]
         line, status = f"internal error: {type(error).__name__}: {''.join(first)} (LIPAC_DEBUG=1 shows more)", 1
-    print(f"lipac {name}: {line}", file=sys.stderr)
+    say(f"lipac {name}: {line}", sys.stderr)
     return status
+
+
+def _lost(error: OSError) -> str:
+    """What to do about files that cannot be read or written."""
+    import tempfile
+
+    name = str(error.filename or "")
+    where = f" {name}" if name else " its files"
+    folder = tempfile.tempdir
+    if folder and name.startswith(os.path.join(folder, "lipac")):
+        return f"cannot read or write{where}: {error.strerror or error}; finished frames are kept; free space in {folder}, or name another folder by TMPDIR"
+    return f"cannot read or write{where}: {error.strerror or error}; finished frames are kept; free space or choose another folder with -o"
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -22,11 +22,13 @@ from ..core.culling import DEFAULT_BUDGET, POLICIES, CullOptions
 from ..core.errors import InputError
 from ..core.kernels import load_ahead, telling
 from ..core.progress import Progress, Terminal, silent
+from .streams import say
 
 if TYPE_CHECKING:
     from ..core.report import Report
     from ..lipac_addon.pipeline import Job
 
+MOST_LINES = 20  # of a kind that a command prints
 LAST_FRAME = 1048574  # Blender's own limit
 
 
@@ -49,7 +51,7 @@ def scene_parser(command: str, description: str) -> Parser:
     culling.add_argument("--cull", choices=POLICIES, default="light-paths", help="what decides (default: %(default)s)")
     culling.add_argument("--max-error", metavar="E[,T]", help="light-paths: share by which the picture, and its worst tile, may change")
     culling.add_argument("--min-share", type=number, metavar="S", help="light-paths: instead of an error, keep what at least this share of paths meets")
-    culling.add_argument("--paths", type=count, metavar="N", help="light-paths: paths per pixel of the analysis (default: as many as the error needs)")
+    culling.add_argument("--paths", type=path_count, metavar="N", help="light-paths: paths per pixel of the analysis (default: as many as the error needs)")
     culling.add_argument("--solid-angle", type=number, metavar="DEG", help="solid-angle: keep what spans at least this angle")
     culling.add_argument("--distance", type=number, metavar="M", help="distance: keep what is nearer than this")
     culling.add_argument("--margin", type=number, metavar="S", help="frustum: widen the picture by this share of it")
@@ -64,8 +66,8 @@ def scene_parser(command: str, description: str) -> Parser:
     general = parser.add_argument_group("general")
     crops = "measure the error too: so many of 12 parts of the picture, picked at random, are rendered full and culled by the engine (default: 2)"
     general.add_argument("--verify", type=crop_count, nargs="?", const=2, default=0, metavar="N", help=crops)
-    general.add_argument("--seed", type=int, default=0, metavar="S", help="of all random numbers (default: 0)")
-    general.add_argument("--threads", type=int, default=0, metavar="N", help="0: all cores (default)")
+    general.add_argument("--seed", type=seed_number, default=0, metavar="S", help="of all random numbers (default: 0)")
+    general.add_argument("--threads", type=thread_count, default=0, metavar="N", help="0: all cores (default)")
     general.add_argument("--quiet", action="store_true", help="no progress")
     return parser
 
@@ -98,11 +100,31 @@ def number(text: str) -> float:
     return value
 
 
-def count(text: str) -> int:
-    """A whole number from 1 up. Raises ArgumentTypeError."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 1 up")
+def count(text: str, most: int = 2**31 - 1, least: int = 1) -> int:
+    """A whole number from least to most. Raises ArgumentTypeError."""
+    if not text.isdecimal() or len(text) > 19 or not least <= int(text) <= most:
+        raise argparse.ArgumentTypeError(f"'{text[:40]}' is not a whole number from {least} to {most:,}")
     return int(text)
+
+
+def sample_count(text: str) -> int:
+    """Samples per pixel: as many as Cycles takes. Raises ArgumentTypeError."""
+    return count(text, 2**24)
+
+
+def path_count(text: str) -> int:
+    """Paths per pixel of an analysis, each of which takes 64 bytes. Raises ArgumentTypeError."""
+    return count(text, 4096)
+
+
+def seed_number(text: str) -> int:
+    """A seed. Raises ArgumentTypeError."""
+    return count(text, 2**31 - 1, 0)
+
+
+def thread_count(text: str) -> int:
+    """A number of threads; 0: all. Raises ArgumentTypeError."""
+    return count(text, 1024, 0)
 
 
 def crop_count(text: str) -> int:
@@ -127,8 +149,13 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield silent
         return
-    with os.fdopen(os.dup(2), "w") as stream, Terminal(stream) as terminal:
-        yield terminal
+    stream = os.fdopen(os.dup(2), "w")
+    try:
+        with Terminal(stream) as terminal:
+            yield terminal
+    finally:
+        with suppress(OSError):  # what nobody reads any more
+            stream.close()
 
 
 PATIENCE = 0.5  # seconds that work may take to notice Ctrl-C
@@ -139,7 +166,7 @@ def ctrl_c() -> Iterator[Callable[[], bool]]:
     """A function that tells whether Ctrl-C was pressed within the block, for work to poll: an exception in the midst of Blender's would not come through.
 
     Where the work does not end soon (Blender evaluates a scene, a large structure is built), the process ends as it is: whatever it leaves on disk is whole.
-    A second Ctrl-C ends it at once.
+    A second Ctrl-C ends it at once. Where whoever started the process had it ignore Ctrl-C, it does.
     """
     pressed = threading.Event()
 
@@ -147,7 +174,7 @@ def ctrl_c() -> Iterator[Callable[[], bool]]:
         pressed.set()
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-    if threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield pressed.is_set
         return
     old = signal.signal(signal.SIGINT, note)
@@ -169,7 +196,8 @@ def _impatient() -> Iterator[None]:
     def watch() -> None:
         while number := here.recv(1):
             if number[0] == signal.SIGINT and not done.wait(PATIENCE):
-                os.write(stderr, b"lipac: stopped; finished frames and their report are kept\n")
+                with suppress(OSError):
+                    os.write(stderr, b"lipac: stopped; finished frames and their report are kept\n")
                 os._exit(130)
 
     thread = threading.Thread(target=watch, name="Ctrl-C", daemon=True)
@@ -205,10 +233,6 @@ def check(args: argparse.Namespace) -> None:
 
     if args.scene is None and "bpy" not in sys.modules:
         raise InputError("SCENE is missing: name a .blend or another scene file")
-    if not 0 <= args.threads <= 1024:
-        raise InputError(f"--threads {args.threads}: give a number from 1 to 1024, or 0 for all cores")
-    if not 0 <= args.seed < 2**31:
-        raise InputError(f"--seed {args.seed}: give a number from 0 to {2**31 - 1}")
     if args.no_mitigation and not args.warm:
         raise InputError("--no-mitigation has a meaning with --warm alone: frames that decide by themselves have nothing that comes into view")
     if args.shot is not None and (args.bake != "shot" or args.warm):
@@ -242,6 +266,7 @@ def do_frames(
         from ..lipac_addon.hybrid import HybridOptions
         from ..lipac_addon.open import AUTO, leave_modes, missing_libraries, open_scene, use_camera
         from ..lipac_addon.pipeline import Job, run
+        from .lipac import began
 
         gc.freeze()  # what is loaded by now stays: who collects garbage need not look through it
         if args.cull != "none" or engine not in BLENDER_ENGINES:
@@ -264,14 +289,18 @@ def do_frames(
         more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify)
         job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more)
         report = new_report(args, job)
+        report.began = began()
         if args.resume and (others := report.other_options(args.output)):
             what = ", ".join(others)
             raise InputError(f"--resume: {args.output} was made otherwise ({what}); give the same options, or another -o, or begin anew without --resume")
         report.note(report.warnings, missing_libraries())
         run(job, report, progress, cancelled)
-    print(report.table())
-    for line in report.warnings:
-        print(f"warning: {line}", file=sys.stderr)
+    say(report.table(), sys.stdout)
+    for kind, lines in (("warning", report.warnings), ("approximated", report.approximated)):
+        for line in lines[:MOST_LINES]:
+            say(f"{kind}: {line}", sys.stderr)
+        if len(lines) > MOST_LINES:
+            say(f"{kind}: {len(lines) - MOST_LINES} more, in {args.output / 'report.json'}", sys.stderr)
     return report
 
 
@@ -285,7 +314,7 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     scene, path = bpy.context.scene, args.scene or bpy.data.filepath
     options: dict[str, Any] = {name: value for name, value in dataclasses.asdict(job.options).items() if name not in ("threads", "seed", "policy")}
     options |= {"resolution": [scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage], "camera": args.camera or ""}
-    options |= {"samples": job.samples, "bake": job.bake, "warm": job.warm, "file": digest(Path(path)) if path else ""}
+    options |= {"samples": job.samples, "bake": job.bake, "warm": job.warm, "file": digest(Path(path), *linked_files()) if path else ""}
     if job.engine == "hybrid":
         options["hybrid"] = dataclasses.asdict(job.hybrid)
     if job.bake == SHOT or job.warm:
@@ -295,12 +324,22 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     return Report(str(path), bpy.app.version_string, own_version(), args.cull, job.engine, args.seed, threads, options)
 
 
+def linked_files() -> list[Path]:
+    """The library files that the open file, or one of these, links."""
+    import bpy
+
+    return sorted({Path(bpy.path.abspath(library.filepath, library=library.parent)) for library in bpy.data.libraries if not library.packed_file})
+
+
 def digest(*paths: Path) -> str:
-    """SHA-256 of the contents of files, one after the other; "" where one of them is no file."""
-    if not all(path.is_file() for path in paths):
+    """SHA-256 of the contents of files, one after the other; what is no file counts as such. "" where the first is none."""
+    if not paths[0].is_file():
         return ""
     found = hashlib.sha256()
     for path in paths:
+        if not path.is_file():
+            found.update(b"missing")
+            continue
         with path.open("rb") as file:
             hashlib.file_digest(file, lambda: found)
     return found.hexdigest()

@@ -10,17 +10,17 @@ GI = ("path", "diffuse-1", "reflections", "none")
 
 def main(argv: Sequence[str]) -> int:
     """Write a picture and the states of each frame, and report.json; returns the exit status."""
-    from .options import count, do_frames, scene_parser
+    from .options import do_frames, sample_count, scene_parser
 
     parser = scene_parser("render", "Cull a scene by its light paths and render it: pictures, states per frame and report.json.")
     engines = "default: %(default)s; path: the path tracer of the analysis; hybrid: EEVEE and it together"
     parser.add_argument("--engine", choices=ENGINES, default="cycles", help=engines)
-    parser.add_argument("--samples", type=count, metavar="N", help="per pixel (default: the scene's)")
+    parser.add_argument("--samples", type=sample_count, metavar="N", help="per pixel (default: the scene's)")
     hybrid = parser.add_argument_group("--engine hybrid")
     hybrid.add_argument("--gi", choices=GI, default="path", help="what paths bring: all, one bounce, no diffuse bounce, nothing (default: %(default)s)")
     hybrid.add_argument("--primary", choices=("raster", "traced"), default="raster", help="what finds first hits; traced: no OpenGL (default: %(default)s)")
     hybrid.add_argument("--denoise", choices=("on", "off"), default="on", help="of the traced light (default: %(default)s)")
-    hybrid.add_argument("--raster-samples", type=count, default=8, metavar="N", help="EEVEE's samples per pixel (default: %(default)s)")
+    hybrid.add_argument("--raster-samples", type=sample_count, default=8, metavar="N", help="EEVEE's samples per pixel (default: %(default)s)")
     args = parser.parse_args(argv)
     options = {"gi": args.gi, "primary": args.primary, "denoise": args.denoise == "on", "raster_samples": args.raster_samples}
     do_frames(args, args.engine, args.samples, options)

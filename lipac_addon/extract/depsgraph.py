@@ -100,8 +100,6 @@ def own_slot() -> Iterator[None]:
 
 def rendered_layers(scene: Any) -> tuple[str, ...]:
     """Names of the view layers that a render of a scene renders."""
-    if scene.render.use_single_layer and bpy.context.view_layer is not None and bpy.context.view_layer.id_data == scene:
-        return (str(bpy.context.view_layer.name),)
     return tuple(layer.name for layer in scene.view_layers if layer.use)
 
 
@@ -182,6 +180,9 @@ class RenderGraph:
             stack.enter_context(no_new_images())
             ours = {"use_persistent_data": keep, "use_compositing": False, "use_sequencer": False, "use_multiview": False, "use_freestyle": False}
             stack.enter_context(changed(render, engine=ENGINE, **ours))
+            for layer in self.scene.view_layers:  # Blender evaluates and renders all that are used, whatever the operator is told
+                if layer.use != (layer.name == self.layer):
+                    stack.enter_context(changed(layer, use=layer.name == self.layer))
             self._held = stack.pop_all()
 
     def _render(self, callback: Callable[[Any, bool], T]) -> T:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.change import Change
-from ...core.errors import InputError
+from ...core.errors import InputError, NothingToAnalyse
 from ...core.placing import scene_origin
 from ...core.scene import F32, I32, Records, Scene
 from ..keys import Keys, Kind
@@ -90,7 +90,7 @@ class SceneReader:
         nodes = graph.read(depsgraph, goes_on)
         placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(nodes)
         if not len(placed.rows):
-            raise InputError("nothing to render: no visible object of the scene has faces")
+            raise NothingToAnalyse([*graph.unsupported])
         if camera is None:
             bounds = np.stack((placed.rows.bounds[:, 0].min(axis=0), placed.rows.bounds[:, 1].max(axis=0))).astype(np.float64)
             camera = frame_camera(bounds, film)

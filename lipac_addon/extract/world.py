@@ -162,7 +162,7 @@ def bake(world: Any, height: int, samples: int) -> F32:
     """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `core.scene.World.image`. Raises InputError if Cycles fails."""
     from ..pictures import read_picture
 
-    with no_new_images(), own_slot(), _bake_scene(world) as scene, tempfile.TemporaryDirectory() as folder:
+    with no_new_images(), own_slot(), _bake_scene(world) as scene, tempfile.TemporaryDirectory(prefix="lipac") as folder:
         scene.render.engine = "CYCLES"
         scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 2 * height, height, 100
         scene.render.use_compositing = scene.render.use_sequencer = False

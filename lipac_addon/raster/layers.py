@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.report import replacing
+from ...core.files import replacing
 from ...core.scene import F32
 
 LAYER = "Hybrid"

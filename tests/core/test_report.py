@@ -1,15 +1,18 @@
 """report.json, states and the table."""
 
 import json
+import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lipac.core.errors import InputError
-from lipac.core.report import FIELDS, Report, load_states, output_folder, replacing, save_states, size
+from lipac.core.files import replacing
+from lipac.core.report import FIELDS, Report, load_states, output_folder, save_states, size
 from lipac.lipac_addon.keys import KEY, MAX_DEPTH
 
 
@@ -151,3 +154,55 @@ def test_unwritable_folder(tmp_path):
 
 def test_sizes():
     assert [size(n) for n in (0, 999, 1000, 2.5e6, 7.04e10)] == ["0 B", "999 B", "1 kB", "2.5 MB", "70.4 GB"]
+
+
+def test_another_command_leaves_the_report_of_finished_frames(tmp_path):
+    """By other options, or what is no report of ours: kept beside, not only until the first frame; one without frames need not be."""
+    _, before = filled(tmp_path, (1, 2, 3))
+    filled(tmp_path, (1,), samples=8)
+    assert json.loads((tmp_path / "report_earlier_1.json").read_text()) == before
+    (tmp_path / "report.json").write_text("mine")
+    filled(tmp_path, (1,), samples=9)
+    assert (tmp_path / "report_earlier_2.json").read_text() == "mine"
+    (tmp_path / "empty").mkdir()
+    filled(tmp_path / "empty", ())
+    filled(tmp_path / "empty", (1,), samples=8)
+    assert [p.name for p in (tmp_path / "empty").iterdir()] == ["report.json"]
+
+
+def test_odd_reports_count_as_none(tmp_path):
+    """Right keys with other things in them, nesting without an end, and no file at all."""
+    _, data = filled(tmp_path, (1,))
+    odd = (("frames", 3), ("frames", [{"frame": "1"}]), ("frames", [{"frame": 1}]), ("totals", []), ("options", 1), ("warnings", [1]))
+    for key, value in (*odd, ("frames", [[]])):
+        (tmp_path / "report.json").write_text(json.dumps(data | {key: value}))
+        assert report().finished(tmp_path) is None, (key, value)
+        r = filled(tmp_path, (2,))[1]
+        assert [f["frame"] for f in r["frames"]] == [2]
+    (tmp_path / "report.json").write_text("[" * 100_000)
+    assert report().finished(tmp_path) is None
+    if hasattr(os, "mkfifo"):
+        (tmp_path / "report.json").unlink()
+        os.mkfifo(tmp_path / "report.json")
+        assert report().finished(tmp_path) is None
+
+
+def test_all_is_all():
+    """Opening, verifying and what belongs to no step are in it; rendering is no more than that."""
+    r = report()
+    r.began = time.monotonic() - 100.0
+    r.add_frame({"frame": 1, "trace_s": 3.0, "render_s": 4.0, "verify_s": 20.0})
+    assert "100.0 s in all, of which 4.0 s rendering, 20.0 s verifying" in r.table()
+    r.add_frame({"frame": 2, "render_s": 400.0})
+    assert "100.0 s in all, of which 100.0 s rendering" in r.table()
+
+
+def test_seconds_of_parts_are_summed_once(tmp_path):
+    """However often a command writes."""
+    for frames in ((1, 2), (3,)):
+        r = Report("a.blend", "5.2", "0.1", "light-paths", "cycles", 0, 2)
+        r.began = time.monotonic() - 50.0
+        for frame in frames:
+            r.add_frame({"frame": frame})
+            r.write(tmp_path)
+    assert 100.0 <= json.loads((tmp_path / "report.json").read_text())["totals"]["wall_s"] < 105.0

@@ -57,11 +57,11 @@ def command(limit: int, *arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("limit", [500, 4000])
+@pytest.mark.parametrize("limit", [500, 4000, 20_000])
 def test_full_disk(blend: Path, tmp_path: Path, limit: int) -> None:
-    """500 bytes: not even the report fits; 4,000: the picture does not."""
+    """500 bytes: not even the report fits; 4,000: the picture does not; 20,000: a part of it does, and Blender says nothing of the rest."""
     before = blend.read_bytes()
-    done = command(limit, "render", blend, "-o", tmp_path / "out", "--engine", "path", "--samples", 1, "--quiet")
+    done = command(limit, "render", blend, "-o", tmp_path / "out", "--engine", "path", "--samples", 1, "--resolution", "96x54", "--quiet")
     assert done.returncode == 1
     lines = done.stderr.strip().splitlines()
     assert len(lines) == 1 and "cannot read or write" in lines[0] and "free space" in lines[0]

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from lipac.core.report import States, load_states
@@ -63,3 +64,25 @@ def test_freestyle(tmp_path: Path) -> None:
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["frames"][0]["instances"] == 64
     assert any("Freestyle" in line for line in report["approximated"])
+
+
+def test_two_view_layers(tmp_path: Path) -> None:
+    """The second, which lacks the wall, shows what stands behind it."""
+    report, states = rendered("r_viewlayers", tmp_path / "culled", "--seed", "1")
+    rendered("r_viewlayers", tmp_path / "full", "--cull", "none", "--seed", "1")
+    assert report["frames"][0]["view_layers"] == 2
+    assert {"Wall", *(f"item{k}" for k in range(7))} <= kept(states)
+    culled, full = (read_picture(tmp_path / name / "frame_0001.exr") for name in ("culled", "full"))
+    assert np.abs(culled - full).mean() < 0.01 * full.mean()
+
+
+def test_points_alone(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """What light paths cannot be traced in is rendered, and that is said."""
+    report, _ = rendered("points_only", tmp_path / "culled")
+    assert "all is rendered" in capfd.readouterr().err
+    assert report["frames"][0]["culled"] == 0
+    rendered("points_only", tmp_path / "full", "--cull", "none")
+    culled, full = (read_picture(tmp_path / name / "frame_0001.exr") for name in ("culled", "full"))
+    assert (culled == full).all()
+    assert main(["render", str(FIELD / "points_only.blend"), "-o", str(tmp_path / "path"), "--engine", "path", *SMALL]) == 2
+    assert "point cloud" in capfd.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import weakref
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,6 +17,7 @@ import pytest
 from lipac.core.analysis import analyze
 from lipac.core.culling import CullOptions, State
 from lipac.core.errors import Cancelled
+from lipac.core.files import replacing
 from lipac.core.frames import Shot
 from lipac.core.loop import COLD_HITS
 from lipac.core.report import Report, States, load_states
@@ -159,14 +161,20 @@ def test_resuming_does_what_is_missing(moving: Any, tmp_path: Path) -> None:
 
 
 def test_what_a_killed_command_left_goes_away(moving: Any, tmp_path: Path) -> None:
+    """Parts of its own frames. What another process writes to, or what only looks like a part, stays."""
     (tmp_path / "states").mkdir()
-    left = [tmp_path / ".frame_0001.part.png", tmp_path / "states" / ".frame_0001.part.npz"]
-    other = tmp_path / ".frame_0002.part.png"
-    for path in (*left, other):
+    token = ".0123456789abcdef.part"
+    left = [tmp_path / f".frame_0001{token}.png", tmp_path / "states" / f".frame_0001{token}.npz"]
+    others = [tmp_path / f".frame_0002{token}.png", tmp_path / ".frame_0001.part.png", tmp_path / ".lipac"]
+    for path in (*left, *others):
         path.write_bytes(b"half")
-    do(tmp_path, (1,), engine="path")
+        os.utime(path, (1e9, 1e9))
+    with replacing(tmp_path / "frame_0001.png") as part:
+        do(tmp_path, (1,), engine="path")
+        assert part.exists()
+        part.write_bytes((tmp_path / "frame_0001.png").read_bytes())
     assert not any(path.exists() for path in left)
-    assert other.exists()  # another command may be writing it
+    assert all(path.exists() for path in others)
 
 
 def test_warm_frames(moving: Any, tmp_path: Path) -> None:
