@@ -5,6 +5,7 @@ Both processes share the cache folder. Neither waits for the other: what one of 
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import subprocess
@@ -14,6 +15,8 @@ from pathlib import Path
 
 from numba import types
 from numba.core import event
+
+from . import healing as _healing  # noqa: F401
 
 _ROOT = __name__.rpartition(".core.")[0]  # `lipac`, or what an extension is called: what is cached holds for one name
 # What the second process runs. It ends with this one: then its input does. Packages around `core` are stood in for: they need Blender.
@@ -63,6 +66,7 @@ def start_worker() -> subprocess.Popen[bytes] | None:
         worker.stdin.flush()
     except OSError:
         return None
+    atexit.register(worker.kill)  # before a temporary folder that it writes to is removed
     return worker
 
 

@@ -20,6 +20,7 @@ import llvmlite.binding as llvm
 import numpy as np
 from numba import cfunc, njit, types
 
+from . import healing as _healing  # noqa: F401
 from .atomics import atomic_add_int64, pointer
 from .errors import InputError
 

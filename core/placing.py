@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from . import healing as _healing  # noqa: F401
 from .scene import F64, Camera
 
 LARGEST = 1.8e18  # Embree takes no coordinate beyond this (FLT_LARGE)

@@ -9,16 +9,22 @@ import bpy
 from ..core.errors import InputError
 from ..core.files import replacing
 from .console import muted
+from .extract.depsgraph import changed
 
 
 def save_baked(path: Path) -> None:
     """Save the open file as it is now, culling included, as a copy at path. Raises InputError where it cannot be written, or is the open file itself."""
     check_target(path)
     try:
-        with replacing(path) as part, muted():
-            bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), copy=True)
+        save_copy(path)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot write {path}: {str(error).removeprefix('Error:').strip()}; choose another with --save") from error
+
+
+def save_copy(path: Path) -> None:
+    """Save the open file as a copy at path. Raises OSError, RuntimeError."""
+    with replacing(path) as part, muted(), changed(bpy.context.preferences.filepaths, save_version=0):  # no copy of the empty file that is there
+        bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), check_existing=False, copy=True)
 
 
 def check_target(path: Path) -> None:

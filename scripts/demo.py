@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 def main(argv: Sequence[str]) -> int:
     """Build the scene and save it; returns the exit status."""
+    import errno
     import sys
     from pathlib import Path
 
@@ -29,22 +30,22 @@ def main(argv: Sequence[str]) -> int:
     args = parser.parse_args(argv)
     if args.output.suffix.lower() != ".blend":
         raise InputError(f"-o {args.output}: the name of the file must end in .blend")
-    from ..core.files import replacing
     from ..core.report import output_folder
 
     output_folder(args.output.parent)
     from ..lipac_addon.console import muted
 
     with ctrl_c() as cancelled, muted():
-        import bpy
-
+        from ..lipac_addon.baked import save_copy
         from ..lipac_addon.demo import build
 
         build(args.name, args.instances, args.seed, args.figure)
-        with replacing(args.output) as part:
-            if cancelled():
-                raise Cancelled
-            bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), check_existing=False, copy=True)
+        if cancelled():
+            raise Cancelled
+        try:
+            save_copy(args.output)
+        except RuntimeError as error:
+            raise OSError(errno.EIO, str(error).strip().removeprefix("Error: ").splitlines()[0], str(args.output)) from error
     if not args.quiet:
         say(str(args.output), sys.stdout)
     return 0

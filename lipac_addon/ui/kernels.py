@@ -27,6 +27,6 @@ def clear() -> int:
 
 
 def _folders() -> list[Path]:
-    from ...core.kernel_cache import user_cache
+    from ...core.kernel_cache import own_folders, user_cache
 
-    return list(user_cache().glob("kernels-*"))
+    return own_folders(user_cache())

@@ -48,7 +48,7 @@ def command(limit: int, *arguments: object) -> subprocess.CompletedProcess[str]:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
     return subprocess.run(
-        [sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)],
+        [sys.executable, "-B", "-m", "lipac.scripts.lipac", *map(str, arguments)],  # Python keeps half of what it compiles, too
         capture_output=True,
         text=True,
         preexec_fn=full,
@@ -57,11 +57,11 @@ def command(limit: int, *arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("limit", [500, 4000, 20_000])
-def test_full_disk(blend: Path, tmp_path: Path, limit: int) -> None:
+@pytest.mark.parametrize(("limit", "how"), [(500, ["--engine", "path"]), (4000, ["--engine", "path"]), (20_000, ["--engine", "cycles", "--cull", "none"])])
+def test_full_disk(blend: Path, tmp_path: Path, limit: int, how: list[str]) -> None:
     """500 bytes: not even the report fits; 4,000: the picture does not; 20,000: a part of it does, and Blender says nothing of the rest."""
     before = blend.read_bytes()
-    done = command(limit, "render", blend, "-o", tmp_path / "out", "--engine", "path", "--samples", 1, "--resolution", "96x54", "--quiet")
+    done = command(limit, "render", blend, "-o", tmp_path / "out", *how, "--samples", 1, "--resolution", "160x90", "--quiet")
     assert done.returncode == 1
     lines = done.stderr.strip().splitlines()
     assert len(lines) == 1 and "cannot read or write" in lines[0] and "free space" in lines[0]
@@ -70,6 +70,24 @@ def test_full_disk(blend: Path, tmp_path: Path, limit: int) -> None:
     assert not [p for p in left if p.suffix in (".png", ".exr") or ".part" in p.name], "half a file is left"
     report = tmp_path / "out" / "report.json"
     assert not report.exists() or json.loads(report.read_text())["frames"] == []
+
+
+def test_full_temporary_folder(blend: Path, tmp_path: Path) -> None:
+    """It is named, and what to do about it: not the output folder is full. The picture is there."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    code = (
+        "import sys, lipac.lipac_addon.verify as verify, os, lipac.core.files as files; whole = files.is_whole\n"
+        f"files.is_whole = lambda path: whole(path) and not str(path).startswith({str(folder)!r})\n"
+        "from lipac.scripts.lipac import main; sys.exit(main(sys.argv[1:]))"
+    )
+    arguments = ["render", blend, "-o", tmp_path / "out", "--samples", 1, "--resolution", "32x18", "--verify", 1, "--quiet"]
+    environment = os.environ | {"TMPDIR": str(folder)}
+    done = subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert f"free space in {folder}, or name another folder by TMPDIR" in done.stderr
+    assert (tmp_path / "out" / "frame_0001.png").exists()
 
 
 def test_output_folder_removed_in_the_midst(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from subprocess import PIPE
 
 import bpy
 import numpy as np
@@ -16,6 +17,8 @@ import pytest
 import lipac
 from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.lipac import main
+
+from ..processes import INTERRUPTIBLE
 
 ROOT = Path(lipac.__file__).parent
 SMALL = ["--samples", "1", "--resolution", "32x18"]
@@ -231,7 +234,7 @@ def test_our_own_errors_show_no_traceback(blend, tmp_path, monkeypatch, capfd):
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_ctrl_c_keeps_finished_frames(blend, tmp_path):
     arguments = ["render", str(blend), "-o", str(tmp_path), "--frames", "1-5000", "--cull", "frustum", "--quiet", *SMALL]
-    process = subprocess.Popen([sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE)
     limit = time.monotonic() + 120
     while not (tmp_path / "frame_0002.png").exists() and process.poll() is None and time.monotonic() < limit:
         time.sleep(0.05)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from subprocess import PIPE
 
 import bpy
 import pytest
@@ -17,6 +18,7 @@ from lipac.scripts.lipac import main
 from lipac.scripts.options import byte_count
 
 from ..lipac_addon.conftest import ground_and_boxes
+from ..processes import INTERRUPTIBLE
 
 SMALL = ["--samples", "1", "--resolution", "32x18", "--paths", "1", "--quiet"]
 POSIX = pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
@@ -38,7 +40,7 @@ def blend(tmp_path_factory):
 
 
 def started(*arguments):
-    return subprocess.Popen([sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen([sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE)
 
 
 def states(folder):
@@ -193,7 +195,7 @@ sys.exit(main(sys.argv[1:]))
 def test_ctrl_c_while_blender_starts(blend, tmp_path):
     """It is not lost, and does not leave a Blender without Cycles to go on with."""
     arguments = ["analyze", str(blend), "-o", str(tmp_path), "--frames", "1-3", *SMALL[2:]]
-    done = subprocess.run([sys.executable, "-c", STARTING, *arguments], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run([sys.executable, "-c", STARTING, *arguments], capture_output=True, text=True, timeout=120, check=False, **INTERRUPTIBLE)
     assert done.stdout == "starting\n"
     assert done.returncode == 130
     assert done.stderr.endswith(": stopped; finished frames and their report are kept\n")
@@ -205,7 +207,7 @@ def test_ctrl_c_in_work_that_looks_at_nothing(blend, tmp_path, work):
     """The process ends although the main thread is in the midst of minutes of work, and says so; the report of the first frame is whole."""
     code = STUCK.format(work=work)
     arguments = ["analyze", str(blend), "-o", str(tmp_path), "--frames", "1-3", *SMALL[2:]]
-    process = subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE)
     assert any(line == "stuck\n" for line in process.stdout)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)

@@ -56,15 +56,27 @@ def test_a_memory_budget_is_kept(preferred, scene):
 def test_kernels_of_other_versions_are_not_counted(tmp_path, monkeypatch):
     """They are counted twice a second while an analysis runs: only the folder in use is looked at."""
     monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels-new"))
+    old, new = "kernels-3.13-00000000000a", "kernels-3.13-00000000000b"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / new))
     assert kernels.count() == 0
-    for version, numbers in (("kernels-old", range(5)), ("kernels-new", range(3))):
+    for version, numbers in ((old, range(5)), (new, range(3))):
         (tmp_path / version / "core").mkdir(parents=True)
+        (tmp_path / version / ".lipac-kernels").touch()
         for k in numbers:
             (tmp_path / version / "core" / f"{k}.nbi").write_bytes(bytes(100))
-    (tmp_path / "kernels-new" / "core" / "0.1.nbc").write_bytes(bytes(100))
+    (tmp_path / new / "core" / "0.1.nbc").write_bytes(bytes(100))
     assert kernels.count() == 3
     assert kernels.size() == 900
+
+
+def test_the_button_removes_what_is_ours_alone(tmp_path, monkeypatch):
+    monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
+    for name in ("kernels-of-my-own", "kernels-3.13-00000000000a"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "precious").write_bytes(bytes(100))
+    (tmp_path / "kernels-3.13-00000000000a" / ".lipac-kernels").touch()
+    assert kernels.clear() == 100
+    assert [p.name for p in tmp_path.iterdir()] == ["kernels-of-my-own"]
 
 
 CACHE = """
