@@ -181,8 +181,8 @@ class Session:
         start = time.perf_counter()
         with muted():
             writeback.restore()
-            exposed = self.job.engine in ("", *BLENDER_ENGINES)
-            self._extractor = self._extractor or Extractor(bpy.context.scene, self.layer, exposed=exposed)
+            whole = self.job.engine in ("", *BLENDER_ENGINES)
+            self._extractor = self._extractor or Extractor(bpy.context.scene, self.layer, whole=whole)
             extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
         self._pinned = None
         return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}

@@ -160,6 +160,7 @@ class GraphReader:
         self._addresses: frozenset[int] = frozenset()
         self._keys: dict[int, str] = {}  # of data that objects share, in this frame
         self._order: list[Node] = []
+        self.pairs: set[tuple[int, int]] = set()  # meshes with their offsets into the slot table
 
     def read(self, depsgraph: Any, goes_on: bool) -> list[Node]:
         """Read a frame and return the objects at the top. goes_on: the graph is that of the last call, evaluated anew."""
@@ -175,7 +176,7 @@ class GraphReader:
         self._override = getattr(self.layer, "material_override", None)
         self.slots = SlotTable()
         self.meshes.begin()
-        for lines in (self.unsupported, self.warnings, self._keys, self._order):
+        for lines in (self.unsupported, self.warnings, self._keys, self._order, self.pairs):
             lines.clear()
         nodes = [self.node(item) for item in self._top_level()]
         for node in self._order:  # grows meanwhile
@@ -372,6 +373,7 @@ class GraphReader:
         source = self.meshes.source(geometry.mesh)
         geometry.bounds = source.bounds
         geometry.offset = self.slots.offset(geometry.materials, source.slot_count)
+        self.pairs.add((geometry.mesh, geometry.offset))
         if source.broken:
             self.warnings.setdefault(f"mesh of {source.name!r} has vertices that are not finite: triangles with these are left out")
 

@@ -253,7 +253,7 @@ class Placer:
         return True
 
     def _is_still(self, known: Block, of: tuple[str, ...], nodes: Sequence[Node]) -> bool:
-        if self._before is None or known.of != of or known.reach > self.limit or not all(self.meshes.keeps_origin(mesh) for mesh, _ in known.pairs):
+        if self._before is None or known.of != of or known.reach > self.limit or not all(self.meshes.keeps_place(mesh) for mesh, _ in known.pairs):
             return False
         return all(self.reader.latest(node, self._latest) < self.reader.frame for node in nodes)
 
@@ -376,7 +376,7 @@ class Placer:
         out.reserve(count)
         rows = out.rows[out.count : out.count + count]
         good = np.empty(count, np.bool_)
-        low, high = source.bounds.astype(np.float64)
+        low, high = source.box().astype(np.float64)
         if source.origin is None:
             source.origin = np.zeros(3) if self.camera is None else local_origin(low, high, at.transform, self.camera)
         placed = shifted(at.transform, source.origin) if source.origin.any() else np.ascontiguousarray(at.transform)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...core.scene import VIEWS, Records, Shader, default_material
+from .displacement import Relief, relief_of
 from .nodes import MEAN, Reader, Value, View, grey
 from .textures import TextureTable
 
@@ -87,9 +88,12 @@ class MaterialTable:
     records: the materials, composed ones with `parts` that are numbered from the first of those records that are parts of others.
     """
 
-    def __init__(self, textures: TextureTable) -> None:
+    def __init__(self, textures: TextureTable, displaced: bool = True) -> None:
+        """displaced: true displacement is allowed for, as `displacement` says; else it is left out."""
         self.textures = textures
+        self.displaced = displaced
         self.records: list[Records] = []
+        self.reliefs: list[Relief | None] = []
         self.approximated: dict[str, None] = {}
         self._parts: list[Records] = []
         self._textured: list[bool] = []
@@ -99,9 +103,10 @@ class MaterialTable:
         """Index of a bpy.types.Material, or of the default for None."""
         name = None if material is None else material.name_full
         if name not in self._known:
-            tree = default_material() if material is None else self._convert(material)
+            tree, relief = (default_material(), None) if material is None else self._convert(material)
             self._known[name] = len(self.records)
             self._textured.append(any(_is_textured(record) for record in (*leaves(tree), *heads(tree))))
+            self.reliefs.append(relief)
             self.records.append(self._flat(tree))
         return self._known[name]
 
@@ -124,7 +129,7 @@ class MaterialTable:
         self._parts += parts
         return tree.head
 
-    def _convert(self, material: Any) -> Tree:
+    def _convert(self, material: Any) -> tuple[Tree, Relief | None]:
         def report(line: str) -> None:
             self.approximated.setdefault(f"material {material.name}: {line}")
 
@@ -133,17 +138,32 @@ class MaterialTable:
             record = default_material()
             record["base_color"] = material.diffuse_color[:3]
             record["metallic"], record["roughness"] = material.metallic, material.roughness
-            return record
-        if loops_over_lights(material.node_tree):
+            return record, None
+        loops = loops_over_lights(material.node_tree)
+        if loops:
             report("light loop not rendered")
         inlined = material.inline_shader_nodes()  # keeps the tree alive
         tree = inlined.node_tree
         if tree.get_output_node("CYCLES") is None:
             tree = material.node_tree  # only the active output is inlined, and that one may be EEVEE's
         out = convert_tree(tree, self.textures, report)
+        if loops:  # the constants in its place may be shares of anything
+            out = unsure(mixed(out, _clear()))
+        relief = relief_of(tree) if material.displacement_method != "BUMP" and self.displaced else None
+        if relief is not None:
+            far = "" if np.isfinite((relief.low, relief.high)).all() else ", as far as the object is large"
+            report(f"displacement taken for two surfaces, at its lowest and its highest{far}: half of the rays pass each")
+            out = unsure(mixed(out, _clear()))
+        elif _is_linked(tree, "Displacement"):
+            report("bump not rendered" if material.displacement_method == "BUMP" else "displacement not rendered")
         for record in (*leaves(out), *heads(out)):
             record["mis_emission"] = material.cycles.emission_sampling != "NONE"
-        return out
+        return out, relief
+
+
+def _is_linked(tree: Any, name: str) -> bool:
+    output = tree.get_output_node("CYCLES")
+    return output is not None and bool(output.inputs[name].is_linked)
 
 
 def loops_over_lights(tree: Any) -> bool:
@@ -169,8 +189,6 @@ def convert_tree(tree: Any, textures: TextureTable, report: Callable[[str], None
     output = tree.get_output_node("CYCLES")
     if output is None:
         return _black()
-    if output.inputs["Displacement"].is_linked:
-        report("displacement not rendered")
     first = _Converter(textures, report, View(0, False))
     out = first.output(output)
     if not first.reader.asked:
@@ -191,6 +209,13 @@ def convert_tree(tree: Any, textures: TextureTable, report: Callable[[str], None
 def _key(tree: Tree) -> bytes:
     """Tells materials apart."""
     return tree.head.tobytes() + _key(tree.first) + _key(tree.second) if isinstance(tree, Composed) else tree.tobytes()
+
+
+def mixed(first: Tree, second: Tree) -> Composed:
+    """Half of each."""
+    head = default_material()
+    head["shader"], head["alpha"] = Shader.MIX, 0.5
+    return Composed(head, first, second)
 
 
 def _black() -> Records:
@@ -224,7 +249,7 @@ class _Converter:
         """The boundary of a volume: what passes it is scattered, or is not."""
         scatters = default_material()
         scatters["shader"] = Shader.TRANSLUCENT
-        return unsure(self._mix(_clear(), scatters, HALF))
+        return unsure(mixed(_clear(), scatters))
 
     def surface(self, socket: Any) -> Tree | None:
         """What is linked to a shader socket; None where nothing is (black)."""
@@ -398,7 +423,7 @@ class _Converter:
 
     def node_script(self, node: Any) -> Tree:
         self.report("script not run: half of all rays pass")
-        return unsure(self._mix(self._other(node), _clear(), HALF))
+        return unsure(mixed(self._other(node), _clear()))
 
     def _other(self, node: Any) -> Tree:
         """Subsurface, sheen, toon, hair and the like: diffuse with their colour."""
@@ -435,7 +460,7 @@ class _Converter:
                 leaf["base_color"] *= 2
             elif leaf["shader"] != Shader.EMISSION:
                 self.report(f"{Shader(int(leaf['shader'])).name.title()} in an Add Shader rendered with half of its weight")
-        return self._mix(a, b, HALF)
+        return mixed(a, b)
 
     def node_mix_shader(self, node: Any) -> Tree | None:
         source = node.inputs[0].links[0].from_node if node.inputs[0].is_linked else None
@@ -450,7 +475,7 @@ class _Converter:
             factor = grey(t)
         a, b = (_black() if r is None else r for r in (a, b))
         if doubtful:
-            return unsure(self._mix(a, b, HALF))
+            return unsure(mixed(a, b))
         if isinstance(a, Composed) or isinstance(b, Composed):
             return self._mix(a, b, factor)
         for one, other, swapped in ((a, b, False), (b, a, True)):
@@ -492,7 +517,7 @@ class _Converter:
                 out["shader"] = Shader.GLASS
                 return out
         self.report(f"Mix Shader by {source.bl_label}: half of each, at any angle")
-        return unsure(self._mix(a, b, HALF))
+        return unsure(mixed(a, b))
 
 
 def _is_clear(record: Records) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.scene import F32, F64, I32
+from .displacement import Relief
 from .meshes import NO_BOUNDS, Loaded, MeshSource, describe, load
 
 
@@ -25,6 +27,7 @@ class MeshTable:
         self._used: set[str] = set()
         self._before: dict[int, MeshSource | None] = {}  # what this frame replaced
         self._origins: dict[int, F64 | None] = {}  # of the frame before
+        self._reliefs: dict[int, Relief | None] = {}
         self._uv_maps: tuple[str, ...] = ("",)
 
     def begin(self) -> None:
@@ -32,6 +35,7 @@ class MeshTable:
         self._used.clear()
         self._before.clear()
         self._origins = {m: source.origin for m, source in enumerate(self.sources) if source is not None}
+        self._reliefs = {m: source.relief for m, source in enumerate(self.sources) if source is not None}
 
     def place_anew(self) -> None:
         """Forget where the coordinates of the meshes begin: the first placement of each decides."""
@@ -84,10 +88,22 @@ class MeshTable:
         assert source is not None
         return source
 
-    def keeps_origin(self, index: int) -> bool:
-        """Whether the coordinates of a mesh began at its own origin in the frame before, and nothing says otherwise in this one."""
+    def displace(self, reliefs: dict[int, Relief]) -> None:
+        """Set how the meshes are displaced, by index, before they are placed; all others are not."""
+        for index, source in enumerate(self.sources):
+            if source is not None:
+                relief = reliefs.get(index)
+                if relief is not None:
+                    most = float(np.linalg.norm(source.bounds[1] - source.bounds[0]))  # where nothing better is known
+                    relief = replace(relief, low=relief.low if np.isfinite(relief.low) else -most, high=relief.high if np.isfinite(relief.high) else most)
+                source.relief = relief
+
+    def keeps_place(self, index: int) -> bool:
+        """Whether the coordinates of a mesh began at its own origin in the frame before, and it was displaced as it is, and nothing says otherwise in this."""
         source = self.sources[index]
-        return source is not None and not _differ(self._origins.get(index), None) and not _differ(source.origin, None)
+        if source is None or source.relief != self._reliefs.get(index):
+            return False
+        return not _differ(self._origins.get(index), None) and not _differ(source.origin, None)
 
     def bounds(self) -> F32:
         """(M, 2, 3) float32, as `core.scene.Scene.mesh_bounds`."""
@@ -109,7 +125,7 @@ class MeshTable:
             needs_uv = index in textured
             if index in self._before:
                 before = self._before[index]
-            elif source is not None and (needs_uv != source.needs_uv or (needs_uv and other_maps) or _differ(source.origin, self._origins.get(index))):
+            elif source is not None and (needs_uv != source.needs_uv or (needs_uv and other_maps) or self._shaped_anew(index, source)):
                 before = source
             else:
                 continue
@@ -118,6 +134,9 @@ class MeshTable:
                 kinds[kind].append(index)
         self._before.clear()
         return np.array(kinds[True], np.int32), np.array(kinds[False], np.int32)
+
+    def _shaped_anew(self, index: int, source: MeshSource) -> bool:
+        return source.relief != self._reliefs.get(index) or _differ(source.origin, self._origins.get(index))
 
     def _drop(self, index: int) -> None:
         self._before.setdefault(index, self.sources[index])

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...core.placing import LARGEST
 from ...core.scene import F32, F64, U32, Mesh
+from .displacement import Relief, shells
 
 NO_BOUNDS = np.array([[1.0] * 3, [-1.0] * 3], np.float32)  # low above high: no triangles
 EMPTY = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
@@ -28,6 +29,7 @@ class MeshSource:
     """Where a mesh comes from: its geometry, name for messages, number of material slots that its triangles use, and whether any material needs UVs.
 
     origin: (3,) where its coordinates begin (`core.placing.local_origin`), set when it is first placed; bounds are in Blender's own coordinates.
+    relief: how its materials displace it, in metres of its own space; None where none does.
     loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the first who asks.
     """
 
@@ -40,10 +42,18 @@ class MeshSource:
     origin: F64 | None = None
     loaded: Loaded | None = None
     ready: Mesh | None = None
+    relief: Relief | None = None
+
+    def box(self) -> F32:
+        """(2, 3) box of what `load` gives, in Blender's own coordinates."""
+        if self.relief is None:
+            return self.bounds
+        most = np.float32(max(abs(self.relief.low), abs(self.relief.high)))
+        return np.stack((self.bounds[0] - most, self.bounds[1] + most))
 
     def local_bounds(self) -> F32:
         """(2, 3) box as `load` gives the positions."""
-        return self.bounds if self.origin is None else (self.bounds - self.origin).astype(np.float32)
+        return self.box() if self.origin is None else (self.box() - self.origin).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -196,7 +206,8 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
     if source.slot_count > 1:
         slots = _slots(mesh)[kept]
     triangles: U32 = np.ascontiguousarray(vertices[kept]).view(np.uint32)
-    return Mesh(positions, triangles, normals, uvs, slots)
+    out = Mesh(positions, triangles, normals, uvs, slots)
+    return out if source.relief is None else shells(out, read(mesh.vertex_normals, "vector", len(positions), 3), source.relief)
 
 
 class LazyMeshes(Sequence[Mesh]):

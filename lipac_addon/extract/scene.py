@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,7 +16,8 @@ from ..keys import Keys, Kind
 from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera, newer_than_tested
 from .depsgraph import STAND_IN
 from .differences import compare
-from .graph import GraphReader
+from .displacement import Relief
+from .graph import GraphReader, Node
 from .instances import Placed, Placer
 from .lights import place_lamps
 from .meshes import LazyMeshes
@@ -69,11 +71,11 @@ class Frame:
 class SceneReader:
     """Reads the dependency graphs of the frames of a scene, and tells what changed from each to the next."""
 
-    def __init__(self, allow_no_camera: bool = False) -> None:
-        """allow_no_camera: a scene without a camera is framed as a whole."""
+    def __init__(self, allow_no_camera: bool = False, displaced: bool = True) -> None:
+        """allow_no_camera: a scene without a camera is framed as a whole. displaced: true displacement is allowed for, as `displacement` says."""
         self.allow_no_camera = allow_no_camera
         self.graph = GraphReader()
-        self._shading = ShadingReader()
+        self._shading = ShadingReader(displaced)
         self._placed: Placed | None = None
         self._last: tuple[Scene, Shading] | None = None
 
@@ -88,6 +90,8 @@ class SceneReader:
             raise InputError(NO_CAMERA)
         camera = None if _stand_in(scene) else extract_camera(scene.camera, scene, film)
         nodes = graph.read(depsgraph, goes_on)
+        shading = self._shading.read(graph)
+        graph.meshes.displace(self._reliefs(shading, nodes))
         placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(nodes)
         if not len(placed.rows):
             raise NothingToAnalyse([*graph.unsupported])
@@ -95,7 +99,6 @@ class SceneReader:
             bounds = np.stack((placed.rows.bounds[:, 0].min(axis=0), placed.rows.bounds[:, 1].max(axis=0))).astype(np.float64)
             camera = frame_camera(bounds, film)
             placed = Placer(graph, scene_origin(camera), camera, self._placed).place(nodes)  # once more, with all digits where it is looked at
-        shading = self._shading.read(graph)
         pairs = {pair for block in placed.blocks for pair in block.pairs}
         deformed, replaced = graph.meshes.finish(self._textured(pairs, shading), shading.uv_maps)
         approximated, warnings = dict.fromkeys(graph.unsupported), dict.fromkeys((*newer_than_tested(), *graph.warnings))
@@ -152,6 +155,28 @@ class SceneReader:
     def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, None]) -> Records:
         lamps = [lamp for block in placed.blocks for lamp in block.lamps]
         return place_lamps(lamps, approximated.setdefault, warnings.setdefault)
+
+    def _reliefs(self, shading: Shading, nodes: Sequence[Node]) -> dict[int, Relief]:
+        """How meshes are displaced, by index, whatever materials they are placed with. nodes: objects at the top, whose scale counts in world space."""
+        out: dict[int, Relief] = {}
+        if not any(shading.reliefs):
+            return out
+        for mesh, offset in sorted(self.graph.pairs):
+            count = self.graph.meshes.source(mesh).slot_count
+            found = [shading.reliefs[material] for material in shading.slot_materials[offset : offset + count].tolist()]
+            relief = out.get(mesh)
+            displaced = [one is not None for one in found]
+            if relief is not None:
+                displaced = [a or b for a, b in zip(displaced, relief.slots, strict=True)]
+            for one in found:
+                relief = relief if one is None else one.joined(relief)
+            if relief is not None:
+                out[mesh] = replace(relief, slots=tuple(displaced))
+        for node in nodes:
+            relief = None if node.geometry is None else out.get(node.geometry.mesh)
+            if relief is not None and relief.world and node.geometry is not None:
+                out[node.geometry.mesh] = relief.scaled(1 / max(float(np.linalg.norm(node.world[:, :3], axis=0).min()), 1e-9))
+        return out
 
     def _textured(self, pairs: set[tuple[int, int]], shading: Shading) -> set[int]:
         """Meshes with a material that needs UVs."""

@@ -29,16 +29,16 @@ class Extractor:
     """
 
     def __init__(
-        self, scene: Any, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None, exposed: bool = True
+        self, scene: Any, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None, whole: bool = True
     ) -> None:
         """scene: bpy.types.Scene; view_layer: name, None takes the first that is used for rendering; world: instead of the scene's own, for all frames.
-        exposed: the camera moves while the shutter is open, where the scene has motion blur; else pictures are of one moment."""
+        whole: true displacement and what happens while the shutter is open are allowed for, as pictures of Blender's engines need it; ours show neither."""
         share()
         self.scene = scene
         self.allow_no_camera = allow_no_camera
         self._graph = RenderGraph(scene, view_layer)
-        self._reader = SceneReader(allow_no_camera)
-        self._exposed, self._at, self._shutter = exposed, 0.0, Shutter()
+        self._reader = SceneReader(allow_no_camera, whole)
+        self._whole, self._at, self._shutter = whole, 0.0, Shutter()
         self._given, self._world, self._fingerprint = world, world, ""
         self.read_s = 0.0
 
@@ -95,7 +95,7 @@ class Extractor:
         if world is None:
             world = constant_world(item)
         frame = self._reader.read(depsgraph, goes_on)
-        if self._exposed and not self._at:
+        if self._whole and not self._at:
             number = depsgraph.scene_eval.frame_current
             self._shutter = read_shutter(depsgraph, frame.scene.film, lambda time: self._graph.move_to(number + time))
         frame = frame.exposed(self._shutter)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.scene import I32, Records, Textures
+from .displacement import Relief
 from .graph import GraphReader
 from .materials import MaterialTable
 from .textures import Pixels, TextureTable
@@ -18,7 +19,7 @@ _CLASSES = ("Material", "NodeTree", "Texture", "Image")
 
 @dataclass(frozen=True)
 class Shading:
-    """What `core.scene.Scene` needs of the materials; textured: (M,) bool, which of them need UVs."""
+    """What `core.scene.Scene` needs of the materials; textured: (M,) bool, which of those that slots have need UVs; reliefs: how these displace, M of them."""
 
     slot_materials: I32
     materials: Records
@@ -26,12 +27,14 @@ class Shading:
     uv_maps: tuple[str, ...]
     textured: NDArray[np.bool_]
     approximated: tuple[str, ...]
+    reliefs: tuple[Relief | None, ...] = ()
 
     def same(self, other: Shading) -> bool:
         """Whether all arrays are the same."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("slot_materials", "materials")]
         pairs += [(getattr(self.textures, name), getattr(other.textures, name)) for name in ("records", "bytes", "floats")]
-        return (self.uv_maps, self.approximated) == (other.uv_maps, other.approximated) and all(same_array(a, b) for a, b in pairs)
+        plain = (self.uv_maps, self.approximated, self.reliefs) == (other.uv_maps, other.approximated, other.reliefs)
+        return plain and all(same_array(a, b) for a, b in pairs)
 
 
 def same_array(a: NDArray[Any], b: NDArray[Any]) -> bool:
@@ -46,7 +49,9 @@ def same_array(a: NDArray[Any], b: NDArray[Any]) -> bool:
 class ShadingReader:
     """Converts the materials of a frame. The pixels of an image are read once, unless Blender says that the image changed."""
 
-    def __init__(self) -> None:
+    def __init__(self, displaced: bool = True) -> None:
+        """displaced: as of `MaterialTable`."""
+        self.displaced = displaced
         self._last: Shading | None = None
         self._order: tuple[str | None, ...] = ()
         self._pixels: dict[tuple[str, bool], Pixels] = {}
@@ -57,7 +62,7 @@ class ShadingReader:
         listed = [update.id for update in reader.listed.values()] if reader.listed is not None else None
         if last is not None and listed is not None and order == self._order and not any(_shades(block) for block in listed):
             if not np.array_equal(table, last.slot_materials):
-                last = Shading(table, last.materials, last.textures, last.uv_maps, last.textured, last.approximated)
+                last = replace(last, slot_materials=table)
         else:
             changed = {block.name_full for block in listed or () if type(block).__name__ == "Image"}
             self._pixels = {key: pixels for key, pixels in self._pixels.items() if key[0] not in changed}
@@ -68,11 +73,11 @@ class ShadingReader:
 
     def _convert(self, order: tuple[str | None, ...], materials: dict[str, Any], table: I32) -> Shading:
         textures = TextureTable(print, self._pixels)
-        records = MaterialTable(textures)
+        records = MaterialTable(textures, self.displaced)
         for name in order:
             records.index(None if name is None else materials[name])
         textured = np.array([records.textured(k) for k in range(len(records.records))], bool)
-        return Shading(table, records.build(), textures.build(), tuple(textures.uv_maps), textured, tuple(records.approximated))
+        return Shading(table, records.build(), textures.build(), tuple(textures.uv_maps), textured, tuple(records.approximated), tuple(records.reliefs))
 
 
 def _shades(block: Any) -> bool:

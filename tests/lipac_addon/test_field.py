@@ -24,6 +24,7 @@ FIELD = Path(lipac.__file__).parent / ".." / "shared" / "cases" / "field"
         ("t_backface", 60, None),
         ("t_cloudbox", 60, "material cloud: volume not rendered"),
         ("t_whip", 60, None),
+        ("t_crater", 400, "material rock: displacement taken for two surfaces, at its lowest and its highest: half of the rays pass each"),
     ],
 )
 def test_what_shows_through_stays(name: str, most: int, said: str | None, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_a_turning_camera_turns_evenly(exposed: Any) -> None:
 def test_still_or_without_blur_there_is_one_camera(exposed: Any) -> None:
     assert extract_frame(exposed).scene.shutter == ()
     animate(exposed.camera, "location", 0, (0, 0.0), (10, 20.0))
-    assert Extractor(exposed, exposed=False).frame(keep=False).scene.shutter == ()
+    assert Extractor(exposed, whole=False).frame(keep=False).scene.shutter == ()
     exposed.render.use_motion_blur = False
     assert extract_frame(exposed).scene.shutter == ()
 
