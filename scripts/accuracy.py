@@ -9,6 +9,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .machine import machine
+
 if TYPE_CHECKING:
     from ..tests.hard.case import Case, Figure
 
@@ -36,7 +38,7 @@ def main(argv: Sequence[str]) -> int:
         print(text)
     else:
         head = args.output.read_text().split(MARK)[0] if args.output.exists() else ""
-        args.output.write_text(f"{head}{MARK}\n\n{text}\n")
+        args.output.write_text(f"{head}{MARK}\n\nMeasured on {machine()}.\n\n{text}\n")
     print("\n".join(f"does not hold: {line}" for line in broken) or f"all {sum(len(f) for _, f in results)} hold", file=sys.stderr)
     return 1 if broken else 0
 

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import json
-import platform
 import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from ..core.report import SECONDS
 from . import compare
-from .compare import CULLED, FULL, OTHER_SEED, cores, markdown
+from .compare import CULLED, FULL, OTHER_SEED, markdown
+from .machine import machine
 
 PEERS = ("rays", "feedback", "paths", "extraction", "city", "compiling")
 ANIMATION = ("crowd", "character", "flythrough", "shot", "growth", "rest", "memory", "pictures")
@@ -143,21 +142,6 @@ def city(folder: Path, repeats: int) -> dict[str, Any]:
         out[name] = seconds | counts | {"work_s": median(name, lambda r: sum(v for k, v in r["frames"][0].items() if k in SECONDS))}
         out[name] |= {"process_s": median(name, lambda r: r["process_s"]), "peak_bytes": median(name, lambda r: r["totals"]["peak_bytes"])}
     return out
-
-
-def machine() -> str:
-    """What the figures were measured on."""
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        model = next((line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")), model)
-    packages = []
-    for name in ("bpy", "numba", "embreex", "mitsuba"):
-        try:
-            packages.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            continue
-    return f"{model}, {cores()} cores, {platform.system()}, Python {platform.python_version()}, {', '.join(packages)}"
 
 
 def report(results: dict[str, Any]) -> str:

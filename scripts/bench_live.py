@@ -125,7 +125,7 @@ def rebuilds(repeats: int) -> dict[str, list[Took]]:
 
 def report(times: dict[str, list[Took]], count: int) -> str:
     """The table, as a page."""
-    from .bench import machine
+    from .machine import machine
 
     what = {
         "camera": ("tick that reads the scene after the camera moved", f"<= {TICK_MS:g} ms"),

@@ -12,6 +12,7 @@ from typing import Any
 
 from ..core.errors import InputError
 from ..core.progress import Progress, part
+from .machine import machine
 
 SIZE = (320, 180)
 SUPPLIED = Path(__file__).parents[2] / "shared" / "scenes"
@@ -84,6 +85,7 @@ def evaluate(args: argparse.Namespace, folder: Path, progress: Progress, cancell
     evaluation = core.Evaluation(scene, settings, folder / PIECES, part(progress, 0.0, 0.05), cancelled)
     evaluation.run(part(progress, 0.05, 0.9))
     summary: dict[str, Any] = {
+        "machine": machine(),
         "scene": args.scene.name,
         "size": list(args.resolution),
         "samples": evaluation.judge.samples,
