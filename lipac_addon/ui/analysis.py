@@ -28,6 +28,8 @@ def obstacle(scene: bpy.types.Scene) -> str:
     """Why a scene cannot be analysed now, "" where it can."""
     if scene.library is not None:
         return "The scene is linked from another file: analyze it there"
+    if scene.render.use_multiview:
+        return applying.MULTI_VIEW
     if any(other.lipac.applied for other in bpy.data.scenes if other != scene):
         return "Restore first: what was culled for another scene is hidden in this one, too"
     return "Leave Edit Mode first: the analysis cannot see what is edited" if session.is_edited() else ""
@@ -36,7 +38,8 @@ def obstacle(scene: bpy.types.Scene) -> str:
 class AnalysisJob(Job):
     """The analysis of some frames of a scene.
 
-    results: by frame, in the end; was_applied: renders were culled before, and are culled anew, but where nothing is known of their frame: lost.
+    results: by frame, in the end; was_applied: something was hidden before, by this scene's result or whatever, so that all had to be shown: what the scene had
+    applied is applied anew, but where nothing is known of its frame, and what others had is not: lost.
     baked: instances that some frame needs, and of all.
     """
 
@@ -51,11 +54,13 @@ class AnalysisJob(Job):
         self.results: dict[int, results.FrameResult] = {}
         self.was_applied = self.lost = False
         self.baked: tuple[int, int] | None = None
-        self._bake = bake
+        self._bake, self._applied = bake, False
+        self._before: applying.Applied | None = None
         self._set_frame = scene.frame_current
         self._extractor: Extractor | None = None  # these two go from frame to frame: what did not change is not analysed again
         self._shot: Shot | None = None
         self._frames = tuple(frames) if frames is not None else props.asked_frames(scene)
+        self._range = props.frame_range(scene)
 
     def _work(self) -> Generator[None, None, None]:
         self.message = engine.LOADING
@@ -64,9 +69,8 @@ class AnalysisJob(Job):
         yield from self._no_render()
         self._check()
         scene = self._scene()
-        frame, self.was_applied = scene.frame_current, scene.lipac.applied
-        if self.was_applied:
-            applying.restore()
+        frame, self._applied, self._before = (scene.frame_current, scene.frame_subframe), scene.lipac.applied, applying.what_is_applied()
+        self.was_applied = applying.restore()
         try:
             self.results = yield from self._analyse_all()
         except Exception:
@@ -78,22 +82,27 @@ class AnalysisJob(Job):
             self._finish(frame)
         self.progress, self.message = 1.0, "done"
 
-    def _finish(self, frame: int) -> None:
-        """Keep the results, go back to the frame that was current, if the user has not gone to another, and cull renders again where they were before."""
+    def _finish(self, frame: tuple[int, float]) -> None:
+        """Keep the results, go back to the frame that was current, if the user has not gone to another, and cull renders again where they were before.
+
+        frame: with its subframe.
+        """
         self._extractor = self._shot = None  # their memory
         scene = session.find_scene(self._uid)
         if scene is None:
             return
         if self.results:
             results.put(scene, self.results)
-        if scene.frame_current == self._set_frame != frame:
-            scene.frame_set(frame)
-        result = results.of(scene).get(frame)
+        if scene.frame_current == self._set_frame and (scene.frame_current, scene.frame_subframe) != frame:
+            scene.frame_set(frame[0], subframe=frame[1])
+        result = results.of(scene).get(frame[0])
         if self._bake and self.results:
             shot = results.union(self.results.values())
-            applying.apply(scene, shot)
+            applying.apply(scene, shot, frames=self._range)
             self.baked = int((~shot.culled).sum()), len(shot.culled)
-        elif self.was_applied and result is not None:
+        elif self._before is not None and not self.results:
+            applying.apply_again(self._before)
+        elif self._applied and result is not None:
             applying.apply(scene, result)
         else:
             self.lost = self.was_applied
@@ -144,7 +153,7 @@ class AnalysisJob(Job):
         asked = replace(extraction.scene, meshes=meshes)
         result = yield from in_thread(lambda: shot.advance(asked, extraction.change, report, lambda: self.cancelled, pinned), self.cancel, meshes)
         self._check()
-        return replace(results.FrameResult.of(number, extraction, uids, result), prints=prints)
+        return replace(results.FrameResult.of(number, extraction, uids, result, pinned), prints=prints)
 
     def _exposed(self, shot: Shot, extraction: Extraction, number: int) -> Generator[None, None, list[Records]]:
         """Keys of what the frame needs at other moments of its exposure, a part for each."""

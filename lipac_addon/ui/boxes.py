@@ -16,6 +16,7 @@ from . import results
 # Okabe and Ito's colours, and white, told apart by colour-blind people: sRGB.
 KINDS = ("active", "pending", "regions", "culled")
 COLORS = {"active": (0.90, 0.60, 0.00), "pending": (1.0, 1.0, 1.0), "regions": (0.00, 0.45, 0.70), "culled": (0.00, 0.62, 0.45)}
+GREY = (0.85, 0.85, 0.85)  # regions beside the heat map, whose colours have blue and green
 # Heat of instances, from none to most: viridis (van der Walt and Smith, 2015), brighter throughout, also to the colour-blind. sRGB, at equal steps.
 HEAT = np.array(
     [(0.267, 0.005, 0.329), (0.275, 0.194, 0.496), (0.212, 0.359, 0.552), (0.153, 0.497, 0.558), (0.122, 0.633, 0.531), (0.290, 0.759, 0.428),
@@ -26,6 +27,11 @@ ROW = 2048  # boxes in a row of the texture; a box is two texels, its low and it
 # Edges of the unit cube as pairs of corners; bit k of a corner is its coordinate k.
 CORNERS = np.array([[(c >> k) & 1 for k in range(3)] for c in range(8)], np.float32)
 EDGES = np.array([(a, a | 1 << k) for k in range(3) for a in range(8) if not a >> k & 1], np.int32)
+
+
+def color_of(kind: str, heat_map: bool = False) -> tuple[float, float, float]:
+    """The colour of a kind of boxes; beside the heat map, which colours instances, regions have another."""
+    return GREY if heat_map and kind == "regions" else COLORS[kind]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 
 blend, name, frame, out = sys.argv[sys.argv.index("--") + 1 :]
-bpy.ops.wm.open_mainfile(filepath=blend, load_ui=False)
+bpy.ops.wm.open_mainfile(filepath=blend, load_ui=False, use_scripts=False)
 scene = bpy.data.scenes[name]
 bpy.context.window.scene = scene
 render = scene.render

@@ -64,7 +64,7 @@ class DifferenceJob(Job):
         """Render a copy; returns what the child said."""
         program = [sys.executable] if bpy.app.module else [bpy.app.binary_path, "-b", "--python-exit-code", "1", "-P"]
         arguments = [str(folder / f"{what}.blend"), scene, str(self._result.frame), str(folder / f"{what}.exr")]
-        with (folder / f"{what}.log").open("w+") as log:
+        with (folder / f"{what}.log").open("w+", encoding="utf-8", errors="replace") as log:
             child = subprocess.Popen([*program, str(_CHILD), "--", *arguments], stdout=log, stderr=subprocess.STDOUT, creationflags=_NO_WINDOW)
             try:
                 while child.poll() is None:
@@ -85,8 +85,7 @@ class DifferenceJob(Job):
 
 def _save_copies(scene: bpy.types.Scene, result: results.FrameResult, folder: Path) -> None:
     """full.blend and culled.blend; the open file is left as it is."""
-    was_applied = any(s.lipac.applied for s in bpy.data.scenes)
-    if was_applied:
+    if applying.marks():
         raise InputError("Restore first: the file is to be rendered in full, too")
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / f"{_FULL}.blend"), copy=True)
     try:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import bpy
 
+from ..writeback.marks import HIDDEN, MASKED, PARTICLES
 from . import props, results
 
 LONGEST = 40  # characters of a line in a sidebar of usual width
+_HIDDEN = {HIDDEN: "all of it", MASKED: "instances that it scatters", PARTICLES: "its particles"}
 
 
 def lines(text: str, width: int = LONGEST) -> list[str]:
@@ -70,7 +72,7 @@ def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tu
     else:
         why = "light paths meet it"
     rows.append(("Because", why))
-    if reason.kept < reason.instances and ob.lipac.role == props.PIN:
+    if reason.kept < reason.instances and ob.lipac_role == props.PIN:
         rows.append(("In renders", "pinned since: kept"))
     rows += [(f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n]
     if reason.worth > 0:
@@ -78,6 +80,12 @@ def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tu
     return rows
 
 
+def rows_of_renders(words: list[str]) -> list[tuple[str, str]]:
+    """What is hidden of an object until Restore, from the words of its mark."""
+    what = [text for word, text in _HIDDEN.items() if any(w.startswith(word) for w in words)]
+    return [("In renders", f"hidden until Restore: {', '.join(what)}")] if what else []
+
+
 def _is_pinned(ob: bpy.types.Object, met: bool) -> bool:
     """Whether it is pinned. All collections are looked through only for what no light path met."""
-    return ob.lipac.role == props.PIN or (not met and ob in props.marked(props.PIN))
+    return ob.lipac_role == props.PIN or (not met and ob in props.marked(props.PIN))

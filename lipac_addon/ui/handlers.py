@@ -15,21 +15,15 @@ _ENGINE = "LIPAC_EXTRACT"  # our own reading of the scene is a render, too
 @persistent
 def before_frame(scene: bpy.types.Scene, *_: Any) -> None:
     """render_pre: cull the frame that is about to be rendered, if it was analysed; other frames are rendered in full."""
-    settings = scene.lipac
-    if scene.render.engine == _ENGINE or settings.applied or not settings.use_for_renders:
-        return
-    result = results.at(scene)
-    if result is not None:
-        applying.apply(scene, result, in_render=True)
-    elif settings.in_render:
-        applying.restore()
+    if scene.render.engine != _ENGINE and scene.lipac.use_for_renders:
+        applying.cull_frame(scene)
 
 
 @persistent
 def after_render(scene: bpy.types.Scene, *_: Any) -> None:
     """render_complete, render_cancel: put everything back."""
-    if scene.render.engine != _ENGINE and scene.lipac.in_render:
-        applying.restore()
+    if scene.render.engine != _ENGINE:
+        applying.end_render(scene)
 
 
 @persistent
@@ -45,6 +39,9 @@ def after_load(*_: Any) -> None:
     results.clear()
     applying.forget()
     overlay.forget()
+    for scene in bpy.data.scenes:
+        if scene.library is None and scene.lipac.freeze:
+            scene.lipac.freeze = False  # the boxes that it kept are gone
     if any(scene.lipac.in_render for scene in bpy.data.scenes):
         applying.restore()
 
@@ -63,11 +60,19 @@ def before_undo(*_: Any) -> None:
         live.current.forget()
 
 
+@persistent
+def after_undo(*_: Any) -> None:
+    """undo_post, redo_post: what is hidden may be something else."""
+    applying.recount()
+
+
 _HANDLERS = (
     (bpy.app.handlers.depsgraph_update_post, after_change),
     (bpy.app.handlers.frame_change_post, after_change),
     (bpy.app.handlers.undo_pre, before_undo),
     (bpy.app.handlers.redo_pre, before_undo),
+    (bpy.app.handlers.undo_post, after_undo),
+    (bpy.app.handlers.redo_post, after_undo),
     (bpy.app.handlers.render_pre, before_frame),
     (bpy.app.handlers.render_complete, after_render),
     (bpy.app.handlers.render_cancel, after_render),

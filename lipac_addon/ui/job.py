@@ -102,7 +102,7 @@ def start(new: Callable[[], J]) -> J:
     """Make the one job that the panel shows. Raises InputError where one is running."""
     global running  # noqa: PLW0603
     if is_running():
-        raise InputError("an analysis is running; Esc cancels it")
+        raise InputError("an analysis is running: wait, or cancel it")
     running = made = new()
     return made
 
@@ -113,6 +113,12 @@ def stop() -> None:
     if running is not None:
         running.close()
     running = None
+
+
+def cancel() -> None:
+    """Ask the running job to stop."""
+    if running is not None:
+        running.cancel()
 
 
 def is_running() -> bool:

@@ -19,7 +19,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import InputError
-from . import engine, job, props, results, session
+from . import applying, engine, job, props, results, session
 from .background import AskedMeshes, in_thread
 from .viewport import LiveWorld, NotedGraph
 
@@ -154,7 +154,7 @@ class Live:
         """Read the viewport's graph in one tick, find out what changed in another. Raises InputError where there is nothing to trace."""
         from ..extract.scene import SceneReader
 
-        if any(other.lipac.applied for other in bpy.data.scenes):
+        if applying.marks():
             self._dirty = False
             raise InputError("culled instances are hidden from renders: Restore to go on")
         layer = scene.view_layers[self.layer]
@@ -179,7 +179,7 @@ class Live:
     def _show(self, frame: _Frame, result: CullingResult) -> None:
         """Hand new states to the panel and the overlay."""
         last = results.live.get(self.uid)
-        now = results.FrameResult.of(frame.number, frame.extraction, frame.uids, result)
+        now = results.FrameResult.of(frame.number, frame.extraction, frame.uids, result, frame.pinned)
         same = last is not None and np.array_equal(last.state, now.state) and len(last.regions) == len(now.regions)
         self._rest = self._rest + 1 if same and not result.stats["pending"] else 0
         results.live[self.uid] = now

@@ -12,7 +12,7 @@ _MANUAL = (
     ("bpy.types.lipacsettings.show_*", "overlay"),
     *((f"bpy.types.lipacsettings.{name}", "overlay") for name in ("opacity", "in_front", "freeze", "heat_map")),
     ("bpy.types.lipacsettings.*", "settings"),
-    ("bpy.types.lipacrole.*", "pin-and-ignore"),
+    *((f"bpy.types.{owner}.lipac_role", "pin-and-ignore") for owner in ("object", "collection")),
     ("bpy.types.lipacpreferences.*", "preferences"),
     ("bpy.ops.lipac.live", "live"),
     ("bpy.ops.lipac.mark", "pin-and-ignore"),

@@ -9,7 +9,7 @@ import bpy
 from ...core.errors import InputError
 from . import engine, job, session
 
-BUSY = "An analysis is running; Esc cancels it"
+BUSY = "An analysis is running: wait, or cancel it"
 INTERVAL = 0.05  # seconds between steps of a job
 
 
@@ -86,9 +86,6 @@ class JobOperator(Explained):
         if ended:
             context.window_manager.event_timer_remove(self.timer)
             return {"CANCELLED"}
-        if event.type == "ESC" and event.value == "PRESS":  # not when a key is let go of that something else was told by
-            self.job.cancel()
-            return {"RUNNING_MODAL"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         session.redraw()

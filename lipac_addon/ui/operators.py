@@ -24,7 +24,7 @@ class _Analysis(JobOperator):
 
 
 class LIPAC_OT_analyze(_Analysis, bpy.types.Operator):
-    """Find out which instances the picture needs, by tracing light paths. Nothing is hidden yet. Esc cancels"""
+    """Find out which instances the picture needs, by tracing light paths. Nothing is hidden yet"""
 
     bl_idname = "lipac.analyze"
     bl_label = "Analyze"
@@ -44,7 +44,7 @@ class LIPAC_OT_analyze(_Analysis, bpy.types.Operator):
 
 
 class LIPAC_OT_bake_shot(_Analysis, bpy.types.Operator):
-    """Analyze all frames of the scene's range, and hide from renders what none of them needs, until Restore. Nothing flickers. Esc cancels"""
+    """Analyze all frames of the scene's range, and hide from renders what none of them needs, until Restore. Nothing flickers"""
 
     bl_idname = "lipac.bake_shot"
     bl_label = "Bake Shot"
@@ -61,15 +61,14 @@ class LIPAC_OT_bake_shot(_Analysis, bpy.types.Operator):
 
 
 class LIPAC_OT_difference(JobOperator, bpy.types.Operator):
-    """Render this frame in full and culled, and measure what culling saves and changes. The difference is an image of the file. Esc cancels"""
+    """Render this frame in full and culled, and measure what culling saves and changes. The difference is an image of the file"""
 
     bl_idname = "lipac.difference"
     bl_label = "Render Difference"
 
     @classmethod
     def obstacle(cls, context: bpy.types.Context) -> str:
-        applied = any(scene.lipac.applied for scene in bpy.data.scenes)
-        own = _unanalyzed(context) or ("Restore first: the frame is to be rendered in full, too" if applied else "")
+        own = _unanalyzed(context) or ("Restore first: the frame is to be rendered in full, too" if applying.marks() else "")
         return super().obstacle(context) or own
 
     def make(self, context: bpy.types.Context) -> DifferenceJob:
@@ -83,6 +82,22 @@ class LIPAC_OT_difference(JobOperator, bpy.types.Operator):
     def wrote(self) -> bool:
         """The image."""
         return self.job.difference is not None
+
+
+class LIPAC_OT_cancel(Explained, bpy.types.Operator):
+    """Stop what is running: an analysis, or the renders of Render Difference"""
+
+    bl_idname = "lipac.cancel"
+    bl_label = "Cancel"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    @classmethod
+    def obstacle(cls, _context: bpy.types.Context) -> str:
+        return "" if job.is_running() else "Nothing is running"
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        job.cancel()
+        return {"FINISHED"}
 
 
 class LIPAC_OT_live(Explained, bpy.types.Operator):
@@ -164,7 +179,7 @@ class LIPAC_OT_mark(Explained, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         editable = [ob for ob in context.selected_objects if ob.is_editable]
         for ob in editable:
-            ob.lipac.role = self.role
+            ob.lipac_role = self.role
         if len(editable) < len(context.selected_objects):
             self.report({"WARNING"}, f"{len(context.selected_objects) - len(editable)} linked objects cannot be marked: make library overrides of them")
         return {"FINISHED"} if editable else {"CANCELLED"}
@@ -187,6 +202,8 @@ class LIPAC_OT_clear_cache(Explained, bpy.types.Operator):
 
 
 def _unanalyzed(context: bpy.types.Context) -> str:
+    if context.scene.render.use_multiview:
+        return applying.MULTI_VIEW
     return _UNANALYZED if results.at(context.scene) is None else ""
 
 
@@ -197,6 +214,6 @@ def _occupied() -> str:
 
 _CLASSES = (
     *(LIPAC_OT_analyze, LIPAC_OT_live, LIPAC_OT_bake_shot, LIPAC_OT_apply, LIPAC_OT_restore),
-    *(LIPAC_OT_difference, LIPAC_OT_mark, LIPAC_OT_clear_cache),
+    *(LIPAC_OT_cancel, LIPAC_OT_difference, LIPAC_OT_mark, LIPAC_OT_clear_cache),
 )
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -16,7 +16,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
 from . import results
-from .boxes import COLORS, CORNERS, EDGES, HEAT, KINDS, ROW, STATES, Boxes, boxes_of
+from .boxes import CORNERS, EDGES, HEAT, KINDS, ROW, STATES, Boxes, boxes_of, color_of
 from .results import FrameResult
 
 _VERTEX = """
@@ -145,7 +145,8 @@ def draw_boxes(
         for kind, (first, count) in zip(KINDS, drawn.boxes.ranges, strict=True):
             if kind in kinds and count:
                 _shader.uniform_int("first", first)
-                color = [_to_linear(x) for x in COLORS[kind]] if encodes else COLORS[kind]
+                plain = color_of(kind, heat_map)
+                color = [_to_linear(x) for x in plain] if encodes else plain
                 _shader.uniform_float("color", (*color, opacity))
                 _batch.draw_instanced(_shader, instance_count=count)
                 calls += 1
@@ -172,7 +173,7 @@ def draw_legend(result: FrameResult, kinds: tuple[str, ...], scale: float = 1.0,
     """Draw the legend into the lower left corner of the active framebuffer, in pixels."""
     x, y, side = _MARGIN * scale, _MARGIN * scale, _SWATCH * scale
     lines = [(kind, text) for kind, text in legend_of(result, kinds) if not heat_map or kind == "regions"]
-    rows: list[tuple[float, Any, str]] = [(side, [COLORS[kind]] * 2, text) for kind, text in reversed(lines)]
+    rows: list[tuple[float, Any, str]] = [(side, [color_of(kind, heat_map)] * 2, text) for kind, text in reversed(lines)]
     if heat_map:
         rows.append((_RAMP * scale, HEAT, f"light paths that meet an instance: 0 to {upload(result).boxes.hottest:,}"))
     blf.size(0, _TEXT * scale)

@@ -9,11 +9,12 @@ import bpy
 
 from . import applying, engine, job, live, props, results
 from .boxes import KINDS
-from .figures import LONGEST, lines, rows_of, rows_of_difference, rows_of_object
+from .figures import LONGEST, lines, rows_of, rows_of_difference, rows_of_object, rows_of_renders
 from .operators import (
     LIPAC_OT_analyze,
     LIPAC_OT_apply,
     LIPAC_OT_bake_shot,
+    LIPAC_OT_cancel,
     LIPAC_OT_difference,
     LIPAC_OT_live,
     LIPAC_OT_mark,
@@ -77,7 +78,9 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
             layout.prop(settings, _OWN[settings.policy])
         layout.prop(settings, "frames")
         if job.running is not None and not job.running.done:
-            layout.progress(factor=job.running.progress, text="Esc cancels")
+            row = layout.row(align=True)
+            row.progress(factor=job.running.progress, text=f"{100 * job.running.progress:.0f} %")
+            row.operator(LIPAC_OT_cancel.bl_idname, text="", icon="CANCEL")
             column = layout.column(align=True)
             for line in lines(job.running.message):
                 column.label(text=line)
@@ -103,6 +106,11 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
         row.operator(LIPAC_OT_restore.bl_idname)
         layout.operator(LIPAC_OT_bake_shot.bl_idname)
         layout.prop(settings, "use_for_renders")
+        line, alert = applying.status(context.scene)
+        column = layout.column(align=True)
+        column.alert = alert
+        for text in lines(line):
+            column.label(text=text)
         if settings.applied or settings.use_for_renders:
             _lines(layout, applying.notes)
 
@@ -138,11 +146,12 @@ class LIPAC_PT_object(_Child, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         if ob is not None:
-            layout.prop(ob.lipac, "role", text=ob.name)
+            layout.prop(ob, "lipac_role", text=ob.name)
+            _table(layout, rows_of_renders(applying.marks().get(ob.session_uid, [])))
             if result is not None:
                 _table(layout, rows_of_object(result, ob) or [("This frame", "shows no instances")])
         if context.collection is not None:
-            layout.prop(context.collection.lipac, "role", text=context.collection.name)
+            layout.prop(context.collection, "lipac_role", text=context.collection.name)
         row = layout.row(align=True)
         row.label(text="Selected")
         for name, label, *_ in props.ROLES:

@@ -52,7 +52,7 @@ def _freeze(settings: LipacSettings, _context: bpy.types.Context) -> None:
     session.redraw()
 
 
-def _role(_owner: LipacRole, _context: bpy.types.Context) -> None:
+def _role(_owner: bpy.types.ID, _context: bpy.types.Context) -> None:
     global role_changes  # noqa: PLW0603
     role_changes += 1
 
@@ -120,20 +120,15 @@ class LipacSettings(bpy.types.PropertyGroup):
         name="Freeze", description="Keep showing these boxes while you fly around, change frames and analyse again", update=_freeze
     )
     applied: BoolProperty(name="Applied", description="Culled instances are hidden from renders of this file", options={"HIDDEN"})  # type: ignore[valid-type]
+    applied_from: IntProperty(name="Applied from", description="The first frame that what is applied holds for", options={"HIDDEN"})  # type: ignore[valid-type]
+    applied_to: IntProperty(name="Applied to", description="The last frame that what is applied holds for", options={"HIDDEN"})  # type: ignore[valid-type]
+    applied_step: IntProperty(name="Applied step", description="From one frame that what is applied holds for to the next", options={"HIDDEN"})  # type: ignore[valid-type]
+    applied_count: IntProperty(name="Applied count", description="Instances that are hidden from renders", options={"HIDDEN"})  # type: ignore[valid-type]
     in_render: BoolProperty(name="In a render", description="Culled instances are hidden until the running render ends", options={"HIDDEN"})  # type: ignore[valid-type]
     locked: BoolProperty(name="Interface lock", description="LiPaC locked the interface during renders", options={"HIDDEN"})  # type: ignore[valid-type]
 
 
-class LipacRole(bpy.types.PropertyGroup):
-    """What LiPaC may do with an object, or with all objects in a collection."""
-
-    role: EnumProperty(  # type: ignore[valid-type]
-        name="Culling", description="Whether the analysis may cull this", items=ROLES, override={"LIBRARY_OVERRIDABLE"}, update=_role
-    )
-
-
-_CLASSES = (LipacSettings, LipacRole)
-_POINTERS: tuple[tuple[Any, Any], ...] = ((bpy.types.Scene, LipacSettings), (bpy.types.Object, LipacRole), (bpy.types.Collection, LipacRole))
+_ROLE_OWNERS: tuple[Any, ...] = (bpy.types.Object, bpy.types.Collection)
 
 
 def cull_options(settings: LipacSettings) -> CullOptions:
@@ -157,9 +152,9 @@ def cull_options(settings: LipacSettings) -> CullOptions:
 
 def marked(role: str) -> set[bpy.types.Object]:
     """Objects of the file with a role of their own, or in a collection (at any depth) with it."""
-    found = {ob for ob in bpy.data.objects if ob.lipac.role == role}
+    found = {ob for ob in bpy.data.objects if ob.lipac_role == role}
     for collection in (*bpy.data.collections, *(scene.collection for scene in bpy.data.scenes)):
-        if collection.lipac.role == role:
+        if collection.lipac_role == role:
             found.update(collection.all_objects)
     return found
 
@@ -172,26 +167,27 @@ def pinned(keys: Keys, uids: I64) -> NDArray[np.bool_] | None:
 
 def asked_frames(scene: bpy.types.Scene) -> tuple[int, ...]:
     """Frames that the settings of a scene ask for."""
-    return frame_range(scene) if scene.lipac.frames == RANGE else (scene.frame_current,)
+    return tuple(frame_range(scene)) if scene.lipac.frames == RANGE else (scene.frame_current,)
 
 
-def frame_range(scene: bpy.types.Scene) -> tuple[int, ...]:
+def frame_range(scene: bpy.types.Scene) -> range:
     """The scene's frames, with its step."""
-    return tuple(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
+    return range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
 
 
 def register() -> None:
-    """Register the groups and put them on scenes, objects and collections."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-    for owner, group in _POINTERS:
-        options = {} if owner is bpy.types.Scene else {"override": {"LIBRARY_OVERRIDABLE"}}
-        owner.lipac = PointerProperty(type=group, name="LiPaC", description="Light path guided culling", **options)
+    """Put the settings on scenes, and roles on objects and collections: no group of properties, of which Blender saves nothing on a library override."""
+    bpy.utils.register_class(LipacSettings)
+    bpy.types.Scene.lipac = PointerProperty(type=LipacSettings, name="LiPaC", description="Light path guided culling")
+    for owner in _ROLE_OWNERS:
+        owner.lipac_role = EnumProperty(
+            name="Culling", description="Whether the analysis may cull this", items=ROLES, override={"LIBRARY_OVERRIDABLE"}, update=_role
+        )
 
 
 def unregister() -> None:
-    """Take the groups away again."""
-    for owner, _ in _POINTERS:
-        del owner.lipac
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+    """Take them away again."""
+    for owner in _ROLE_OWNERS:
+        del owner.lipac_role
+    del bpy.types.Scene.lipac
+    bpy.utils.unregister_class(LipacSettings)

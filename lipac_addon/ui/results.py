@@ -62,14 +62,17 @@ class FrameResult:
     _reasons: dict[str, Reason] = field(default_factory=dict)
 
     @staticmethod
-    def of(frame: int, extraction: Extraction, uids: I64, result: CullingResult) -> FrameResult:
-        """Put together what extraction and analysis gave."""
+    def of(frame: int, extraction: Extraction, uids: I64, result: CullingResult, pinned: NDArray[np.bool_] | None = None) -> FrameResult:
+        """Put together what extraction and analysis gave. pinned: (N,) bool, instances that renders show whatever the analysis had no memory for."""
         scene, keys = extraction.scene, extraction.keys
-        lines = (*extraction.warnings, *scene.approximated)
-        bounds, stats = scene.instances.bounds, result.stats
+        lines = (*extraction.warnings, *getattr(result, "warnings", ()), *scene.approximated)
+        bounds, state, stats = scene.instances.bounds, result.state, result.stats
+        if pinned is not None and (state[pinned] == CULLED).any():
+            state = np.where(pinned & (state == CULLED), np.uint8(ACTIVE), state)
+            stats = stats | {"active": int((state == ACTIVE).sum()), "culled": int((state == CULLED).sum())}
         uid_of = dict(zip(keys.names, uids.tolist(), strict=True))
         scatters = {uid_of[name]: rows.copy() for name, rows in extraction.scatters.items() if uid_of.get(name, -1) >= 0}
-        return FrameResult(frame, keys, uids, result.state, result.score, result.hits, bounds, result.boxes, scene.origin, stats, lines, scatters)
+        return FrameResult(frame, keys, uids, state, result.score, result.hits, bounds, result.boxes, scene.origin, stats, lines, scatters)
 
     @property
     def culled(self) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+import numpy as np
 
 
 def find_scene(uid: int) -> bpy.types.Scene | None:
@@ -17,8 +18,9 @@ def is_rendering() -> bool:
 
 def is_edited() -> bool:
     """Whether something is in Edit Mode: Blender then gives out no faces of a mesh, and rest poses of armatures."""
-    active = (layer.objects.active for scene in bpy.data.scenes for layer in scene.view_layers)
-    return any(ob is not None and ob.mode == "EDIT" for ob in active)
+    modes = np.zeros(len(bpy.data.objects), np.int32)
+    bpy.data.objects.foreach_get("mode", modes)  # of all: the active object may have become another meanwhile
+    return bool((modes == bpy.types.Object.bl_rna.properties["mode"].enum_items["EDIT"].value).any())
 
 
 def redraw() -> None:

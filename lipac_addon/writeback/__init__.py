@@ -12,7 +12,6 @@ modifier). Nothing here affects the viewport, and nothing is written to disk.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 
 import bpy
@@ -91,14 +90,6 @@ def restore(in_render: bool = False) -> bool:
     """
     found = mask.remove_all()
     return marks.take_back(in_render) or found
-
-
-def applied() -> dict[str, int]:
-    """How much of the open file is hidden by `apply`, whenever and by whom: numbers of objects by `marks.HIDDEN`, `marks.MASKED`, `marks.PARTICLES`."""
-    counts: Counter[str] = Counter()
-    for words in marks.all_marks().values():
-        counts.update({word if word in {marks.HIDDEN, marks.MASKED} else marks.PARTICLES for word in words})
-    return dict(counts)
 
 
 def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:

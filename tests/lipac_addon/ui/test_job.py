@@ -135,12 +135,12 @@ def test_frames_of_a_range(scene):
 
 
 def test_pin_of_an_object_and_of_a_collection(scene):
-    bpy.data.objects["box4"].lipac.role = "PIN"
+    bpy.data.objects["box4"].lipac_role = "PIN"
     outer, inner = bpy.data.collections.new("outer"), bpy.data.collections.new("inner")
     scene.collection.children.link(outer)
     outer.children.link(inner)
     inner.objects.link(bpy.data.objects["box5"])
-    outer.lipac.role = "PIN"
+    outer.lipac_role = "PIN"
     AnalysisJob(scene).run()
     result = results.at(scene)
     kept = {name: result.reason(bpy.data.objects[name]).kept for name in ("box4", "box5", "box6")}

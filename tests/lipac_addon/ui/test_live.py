@@ -100,7 +100,7 @@ def test_playback(watched):
 
 def test_pins_and_options(watched):
     settle()
-    bpy.data.objects["box4"].lipac.role = props.PIN
+    bpy.data.objects["box4"].lipac_role = props.PIN
     settle()
     assert "box4" in kept()
     watched.lipac.distance = 1000.0

@@ -67,8 +67,8 @@ def test_analyze_sees_what_was_hidden_and_hides_anew(analyzed, hidden):
 
 
 def test_ignored_and_pinned_objects_stay_as_the_user_set_them(analyzed, hidden):
-    bpy.data.objects["box4"].lipac.role = "IGNORE"
-    bpy.data.objects["box5"].lipac.role = "PIN"  # after the analysis
+    bpy.data.objects["box4"].lipac_role = "IGNORE"
+    bpy.data.objects["box5"].lipac_role = "PIN"  # after the analysis
     bpy.ops.lipac.apply()
     assert hidden() == FAR - {"box4", "box5"}
     assert results.at(analyzed).reason(bpy.data.objects["box4"]).kept == 0  # the analysis still says what it would do
@@ -79,9 +79,9 @@ def test_mark_selected(scene):
         ob.select_set(ob.name in FAR)
     bpy.ops.ed.undo_push(message="start")
     bpy.ops.lipac.mark("EXEC_DEFAULT", True, role="PIN")
-    assert {ob.name for ob in bpy.data.objects if ob.lipac.role == "PIN"} == FAR
+    assert {ob.name for ob in bpy.data.objects if ob.lipac_role == "PIN"} == FAR
     bpy.ops.ed.undo()
-    assert not [ob for ob in bpy.data.objects if ob.lipac.role == "PIN"]
+    assert not [ob for ob in bpy.data.objects if ob.lipac_role == "PIN"]
     for ob in bpy.context.selected_objects:
         ob.select_set(False)
     assert not bpy.ops.lipac.mark.poll()
@@ -93,7 +93,7 @@ def test_linked_objects_and_overrides(scene, boxes_file, hidden):
     for ob in to.objects:
         scene.collection.objects.link(ob)  # Blender 5.3 overrides only what the file uses
     linked, override = to.objects[0], to.objects[1].override_create(remap_local_usages=True)
-    override.lipac.role = "PIN"
+    override.lipac_role = "PIN"
     assert bpy.ops.lipac.analyze() == {"FINISHED"}
     result = results.at(scene)
     assert [result.reason(ob).kept for ob in (linked, override, bpy.data.objects["box4", None])] == [0, 1, 0]
@@ -116,7 +116,9 @@ def test_polls(scene, monkeypatch):
     assert not bpy.ops.lipac.apply.poll()
     job.start(lambda: AnalysisJob(scene)).step()
     assert not any(op.poll() for op in (bpy.ops.lipac.analyze, bpy.ops.lipac.apply, bpy.ops.lipac.restore))
+    assert bpy.ops.lipac.cancel.poll()
     job.stop()
+    assert not bpy.ops.lipac.cancel.poll()
     assert bpy.ops.lipac.restore.poll()
     monkeypatch.setattr(engine, "missing", lambda: ("numba",))
     assert not bpy.ops.lipac.analyze.poll()
@@ -209,13 +211,13 @@ def test_modal_runs_to_its_end(scene):
     assert modal.heard == ["timer removed", "The picture needs 6 of 10 instances"]
 
 
-def test_modal_escape(scene):
+def test_modal_cancel(scene):
     scene.lipac.policy, scene.lipac.width, scene.lipac.paths = "light-paths", 640, 64
     modal = Modal(scene)
     assert modal.event("TIMER") == {"PASS_THROUGH"}
-    assert modal.event("ESC", "RELEASE") == {"PASS_THROUGH"}  # of another menu or tool
+    assert modal.event("ESC") == {"PASS_THROUGH"}  # meant for something else
     assert not modal.job.cancelled
-    assert modal.event("ESC") == {"RUNNING_MODAL"}
+    assert bpy.ops.lipac.cancel() == {"FINISHED"}
     assert modal.until_done() == {"CANCELLED"}
     assert modal.heard == ["timer removed", "the analysis was cancelled"]
     assert results.of(scene) == {}
@@ -237,7 +239,7 @@ def test_what_was_hidden_and_is_not_any_more_is_said(analyzed, boxes_file, hidde
     modal = Modal(bpy.context.scene)
     while not modal.job.message.startswith("reading"):
         modal.event("TIMER")
-    modal.event("ESC")
+    bpy.ops.lipac.cancel()
     assert modal.until_done() == {"CANCELLED"}
     assert hidden() == set()
     assert "Nothing is hidden from renders any more" in modal.heard[-1]

@@ -1,5 +1,6 @@
 """The overlay: which boxes, in which colour, in how many draw calls; pixels of an offscreen picture where Blender can draw without a window."""
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import bpy
@@ -9,7 +10,7 @@ import pytest
 from mathutils import Matrix
 
 from lipac.lipac_addon.ui import overlay, results
-from lipac.lipac_addon.ui.boxes import COLORS, HEAT, KINDS, ROW, boxes_of
+from lipac.lipac_addon.ui.boxes import COLORS, HEAT, KINDS, ROW, boxes_of, color_of
 
 SIZE = 128
 
@@ -34,6 +35,12 @@ def test_boxes_kind_by_kind():
     lows = boxes.texels.reshape(-1, 2, 4)[:5, 0, 0].tolist()
     assert lows == [0.0, 2.0, 3.0, 9.0, 1.0]
     assert boxes.texels.shape == (1, 2 * ROW, 4)
+
+
+def test_regions_are_told_from_the_heat_map():
+    ramp = np.concatenate([np.linspace(a, b, 20) for a, b in pairwise(HEAT)])
+    assert np.linalg.norm(ramp - color_of("regions", heat_map=True), axis=1).min() > 0.5
+    assert color_of("regions") == COLORS["regions"]
 
 
 @pytest.mark.parametrize("count", [0, 1, ROW, ROW + 1])
@@ -102,13 +109,13 @@ def canvas(ui):
     offscreen.free()
 
 
-def colour(kind, opacity=1.0):
-    return np.round(np.array(COLORS[kind]) * 255 * opacity)
+def colour(kind, opacity=1.0, heat_map=False):
+    return np.round(np.array(color_of(kind, heat_map)) * 255 * opacity)
 
 
-def counts(picture):
+def counts(picture, heat_map=False):
     """Pixels of each kind's colour."""
-    return {kind: int((np.abs(picture[..., :3] - colour(kind)).max(axis=2) <= 1.0).sum()) for kind in KINDS}
+    return {kind: int((np.abs(picture[..., :3] - colour(kind, heat_map=heat_map)).max(axis=2) <= 1.0).sum()) for kind in KINDS}
 
 
 # From above, orthographic: 8 metres fill the picture, so a metre is 16 pixels.
@@ -152,7 +159,7 @@ def test_heat_map(canvas):
     for k, color in enumerate((HEAT[0], ramp, HEAT[-1])):
         part = picture[:48, 32 * k : 32 * (k + 1), :3]
         assert abs((np.abs(part - np.round(255 * color)).max(axis=2) <= 2).sum() - 64) <= 8, k
-    assert abs(counts(picture)["regions"] - 128) <= 8
+    assert abs(counts(picture, heat_map=True)["regions"] - 128) <= 8
     assert boxes_of(result).hottest == 9999
 
 
@@ -214,7 +221,8 @@ def test_legend_of_the_heat_map(canvas):
             overlay.draw_legend(result, KINDS, heat_map=True)
 
     picture = canvas(draw)
-    assert [counts(picture)[kind] for kind in ("active", "culled", "regions")] == [0, 0, 144]
+    swatches = counts(picture[:, :33], heat_map=True)  # the text beside them is grey, too
+    assert [swatches[kind] for kind in ("active", "culled", "regions")] == [0, 0, 144]
     bar = picture[46, 20:140, :3].astype(float)  # the line above the regions' swatch
     luminance = bar @ (0.2126, 0.7152, 0.0722)
     assert (np.diff(luminance) >= -1).all()

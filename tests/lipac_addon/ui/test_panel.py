@@ -34,6 +34,7 @@ def test_before_an_analysis(scene, drawn, policy):
     scene.lipac.policy = policy
     texts = [drawn(cls) for cls in PANELS]
     assert "lipac.analyze" in texts[0].lower() or "LIPAC_OT_analyze" in texts[0]
+    assert "Renders show everything" in texts[0]
     assert "Nothing analyzed yet" in texts[1]
 
 
@@ -42,6 +43,8 @@ def test_results_and_reason(analyzed, drawn):
     texts = {cls.__name__: drawn(cls) for cls in PANELS}
     assert "6 (60.0 %)" in texts["LIPAC_PT_results"]
     assert "culled" in texts["LIPAC_PT_object"]
+    bpy.ops.lipac.apply()
+    assert "hidden until" in drawn(panel.LIPAC_PT_object)
     analyzed.frame_set(7)
     assert "This frame was not analyzed" in drawn(panel.LIPAC_PT_results)
 
@@ -50,6 +53,7 @@ def test_progress_and_error(scene, drawn):
     running = job.start(lambda: AnalysisJob(scene))
     running.message = "counting sheep"
     assert "counting sheep" in drawn(panel.LIPAC_PT_main)
+    assert "lipac.cancel" in drawn(panel.LIPAC_PT_main).lower().replace("lipac_ot_", "lipac.")
     running.cancel()
     running.run()
     assert "cancelled" in drawn(panel.LIPAC_PT_main)
@@ -105,13 +109,13 @@ def test_figures(analyzed):
 def test_why(scene, drawn):
     """Of the active object: kept by light paths, culled without, pinned."""
     scene.lipac.policy, scene.lipac.width = "light-paths", 64
-    bpy.data.objects["box6"].lipac.role = "PIN"
+    bpy.data.objects["box6"].lipac_role = "PIN"
     pins = bpy.data.collections.new("pins")
     scene.collection.children.link(pins)
     pins.objects.link(bpy.data.objects["box7"])
-    pins.lipac.role = "PIN"
+    pins.lipac_role = "PIN"
     bpy.ops.lipac.analyze()
-    bpy.data.objects["box4"].lipac.role = "PIN"  # after the analysis
+    bpy.data.objects["box4"].lipac_role = "PIN"  # after the analysis
     said = {
         "box7": ("pinned", "kept"),
         "box4": ("culled", "no light path", "pinned since"),

@@ -13,7 +13,7 @@ import pytest
 import lipac
 from lipac.lipac_addon.ui import manual, operators, overlay, panel, preferences, props
 
-GROUPS = (props.LipacSettings, props.LipacRole, preferences.LipacPreferences)
+GROUPS = (props.LipacSettings, preferences.LipacPreferences)
 OPERATORS = operators._CLASSES
 OWNERS = (bpy.types.Scene, bpy.types.Object, bpy.types.Collection)
 
@@ -23,7 +23,7 @@ def traces() -> set:
     classes = {name for name in dir(bpy.types) if "lipac" in name.lower()}
     lists = [handlers for name in dir(bpy.app.handlers) if isinstance(handlers := getattr(bpy.app.handlers, name), list)]
     handlers = {h.__qualname__ for handlers in lists for h in handlers if "lipac" in getattr(h, "__module__", "")}
-    return classes | handlers | {owner.__name__ for owner in OWNERS if hasattr(owner, "lipac")} | set(overlay._handles)
+    return classes | handlers | {owner.__name__ for owner in OWNERS if hasattr(owner, "lipac") or hasattr(owner, "lipac_role")} | set(overlay._handles)
 
 
 def test_register_again_and_again():
@@ -51,7 +51,7 @@ def test_every_control_has_a_place_in_the_guide(ui):
     page, entries = manual.manual()
     assert page.startswith("file://")
     names = [f"bpy.types.{group.__name__}.{p.identifier}" for group in GROUPS for p in own_properties(group)]
-    names += [f"bpy.ops.{cls.bl_idname}" for cls in OPERATORS]
+    names += ["bpy.types.Object.lipac_role", "bpy.types.Collection.lipac_role", *(f"bpy.ops.{cls.bl_idname}" for cls in OPERATORS)]
     assert len(names) > 30
     for name in names:
         place = next((rest for pattern, rest in entries if fnmatch(name.lower(), pattern)), None)

@@ -167,7 +167,7 @@ def new_collection(rng):
 
 def mark(rng):
     name, role = mine(rng), (props.PIN, props.IGNORE, props.AUTO)[rng.integers(3)]
-    return lambda: setattr(ob(name).lipac, "role", role)
+    return lambda: setattr(ob(name), "lipac_role", role)
 
 
 def custom_property(rng):
@@ -237,7 +237,7 @@ def snapshot() -> dict:
         values |= {("modifier", m.name): {k: v for k, v in plain(m).items() if k != "persistent_uid"} for m in item.modifiers}
         values["active modifier"] = item.modifiers.active.name if item.modifiers.active else None
         values["in"] = sorted(c.name for c in item.users_collection)
-        values["role"] = item.lipac.role
+        values["role"] = item.lipac_role
         values["data"] = item.data.name if item.data else None
     for c in (*bpy.data.collections, bpy.context.scene.collection):
         found["members", c.name] = [o.name for o in c.objects], [x.name for x in c.children]
