@@ -3,7 +3,7 @@
 # make results   docs/results.md: cost against error of every policy on every scene (some hours)
 # make accuracy  docs/accuracy.md: every hard case, measured (minutes)
 # make animation docs/animation.md: animated scenes, measured (half an hour; single parts: lipac bench --only PART)
-# make check     ruff, mypy, the quick tests (two minutes)
+# make check     ruff, mypy, the quick tests, which need no Blender (two minutes)
 # make test      ruff, mypy, every test
 # make blender   the tests of Blender's API and of Cycles' shading, on another Blender: make blender BLENDER=5.3
 # make lock      newest versions that pyproject.toml allows into requirements*.txt, which all the others install
@@ -36,7 +36,7 @@ extension: $(VENV)/.installed-test
 test: $(VENV)/.installed-test
 	@status=0; $(MAKE) lint VENV=$(VENV) || status=$$?; $(BIN)/python -m pytest --durations=25 || status=$$?; exit $$status
 check: lint
-	$(BIN)/python -m pytest --durations=10 -m "not slow"
+	$(BIN)/python -m pytest --durations=10 -m "not slow and not blender"
 smoke: $(VENV)/.installed-test
 	$(BIN)/lipac --help > /dev/null
 	$(BIN)/python -m pytest -m smoke
@@ -57,7 +57,7 @@ $(VENV)/.installed-test: requirements-test.txt $(VENV)/.installed
 
 # An environment of its own for another Blender: the lock, but for bpy.
 blender: .venv-$(BLENDER)/.another-blender
-	.venv-$(BLENDER)/bin/python -m pytest --durations=10 -m "blender or smoke"
+	.venv-$(BLENDER)/bin/python -m pytest --durations=10 -m "blender and not slow or smoke"
 .venv-%/.another-blender: requirements-test.txt
 	$(MAKE) .venv-$*/.installed-test VENV=.venv-$* PYTHON=$$(sh scripts/find_python.sh $(if $(filter 5.0,$*),3.11,3.13))
 	.venv-$*/bin/python -m pip install -q --disable-pip-version-check --no-deps 'bpy==$*.*'

@@ -14,6 +14,8 @@ from numba.core import event
 
 from lipac.core import compiling
 
+pytestmark = pytest.mark.slow
+
 # Analyses a tiny scene, and prints what it compiled for that.
 ANALYSIS = """
 import json, sys

@@ -9,6 +9,8 @@ from lipac.lipac_addon.engines import left_out, render_blender, render_path
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
 
+pytestmark = pytest.mark.slow
+
 
 def values(thing):
     return {p.identifier: str(getattr(thing, p.identifier)) for p in thing.bl_rna.properties if p.type not in ("POINTER", "COLLECTION")}

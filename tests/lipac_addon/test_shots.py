@@ -29,6 +29,8 @@ from lipac.lipac_addon.shot_set import ShotSet
 
 from ..core.test_frames import assert_as_alone
 
+pytestmark = pytest.mark.slow
+
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "scenes"
 OPTIONS = CullOptions(width=48, paths=2)
 
