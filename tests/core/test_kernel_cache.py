@@ -121,6 +121,7 @@ print(module.total(4), sum(module.total.stats.cache_hits.values()))
 KERNEL = "from numba import njit\n@njit(cache=True)\ndef total(n):\n    s = 0\n    for k in range(n):\n        s += k\n    return s\n"
 
 
+@pytest.mark.slow
 def test_damaged_kernels_are_compiled_again(tmp_path: Path) -> None:
     """Cut off, empty, with other bytes in it, or without its index; and where nothing can be kept it works all the same."""
     (tmp_path / "kernel.py").write_text(KERNEL)
