@@ -33,7 +33,8 @@ def decide(loop: Loop, progress: Progress = silent) -> CullingResult:
     scene, options = loop.scene, loop.options
     if options.policy != "light-paths":
         n = len(scene.instances)
-        return loop.result(heuristic(scene, options) & loop.exists, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
+        loop.active = heuristic(scene, options) & loop.exists  # nothing else asks for what stays of the last frame
+        return loop.result(loop.active, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
     loop.run(part(progress, 0.0, 0.7, "light paths ask for geometry, "))
     if options.min_share is not None:
         return by_counts(loop, options.min_share)

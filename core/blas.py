@@ -206,8 +206,12 @@ class BlasCache:
                 self._worker = self._worker or ThreadPoolExecutor(1, "blas")
                 self._coming[index] = (self._worker.submit(self._build, index, mesh), len(mesh.triangles))
 
+    def built(self, meshes: np.ndarray) -> tuple[object, ...]:
+        """What keeps the BLASes of meshes (indices), and the arrays that they read, for as long as it is held, whatever is freed here."""
+        return tuple(self._built[index] for index in meshes.tolist())
+
     def keep_only(self, meshes: np.ndarray) -> None:
-        """Free every BLAS, and its mesh, that is not among meshes (indices)."""
+        """Let go of every BLAS, and its mesh, that is not among meshes (indices): it is freed once no TLAS holds it."""
         kept = set(np.unique(meshes).tolist())
         for index in [i for i in (*self._built, *self._coming) if i not in kept]:
             self._free(index)

@@ -12,7 +12,7 @@ import os
 import sys
 import threading
 import weakref
-from ctypes import c_char_p, c_int, c_size_t, c_uint, c_void_p
+from ctypes import c_char_p, c_int, c_size_t, c_ssize_t, c_uint, c_void_p
 from pathlib import Path
 from typing import Any
 
@@ -35,11 +35,14 @@ BUFFER_INDEX, BUFFER_VERTEX, BUFFER_TRANSFORM = 0, 1, 23
 FORMAT_UINT, FORMAT_UINT3, FORMAT_FLOAT3, FORMAT_FLOAT3X4_COLUMN_MAJOR = 0x5001, 0x5003, 0x9003, 0x9234
 SCENE_DYNAMIC, SCENE_COMPACT, SCENE_ROBUST = 1, 2, 4
 QUALITY_LOW, QUALITY_MEDIUM, QUALITY_REFIT = 0, 1, 3
+DEVICE_VERSION = 0
+VERSIONS = range(40400, 40500)  # whose structs these are: 4.4
 
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "rtcNewDevice": (c_void_p, [c_char_p]),
     "rtcReleaseDevice": (None, [c_void_p]),
     "rtcGetDeviceError": (c_int, [c_void_p]),
+    "rtcGetDeviceProperty": (c_ssize_t, [c_void_p, c_int]),
     "rtcSetDeviceMemoryMonitorFunction": (None, [c_void_p, c_void_p, c_void_p]),
     "rtcNewScene": (c_void_p, [c_void_p]),
     "rtcReleaseScene": (None, [c_void_p]),
@@ -63,11 +66,11 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def _library_path() -> Path:
-    """The Embree library that the embreex wheel carries, by platform."""
+    """The Embree library that the embreex wheel carries, by platform: an absolute path."""
     spec = importlib.util.find_spec("embreex")
     if spec is None or spec.origin is None:
         raise InputError("the package 'embreex' is missing: install it with pip, or reinstall the extension built for this platform")
-    package = Path(spec.origin).parent
+    package = Path(spec.origin).resolve().parent
     folders = (package.with_name("embreex.libs"), package / ".dylibs", package)
     pattern = {"win32": "embree4*.dll", "darwin": "libembree4*.dylib"}.get(sys.platform, "libembree4*.so*")
     for folder in folders:
@@ -79,8 +82,7 @@ def _library_path() -> Path:
 def _load() -> ctypes.CDLL:
     path = _library_path()
     if sys.platform == "win32":
-        os.add_dll_directory(str(path.parent))
-        library = ctypes.CDLL(str(path))
+        library = ctypes.CDLL(str(path))  # by its full path: another file than an embree4.dll that is loaded already (docs/method.md, "Two Embrees")
     else:
         # DEEPBIND: the library's own symbols before those of another Embree in the process.
         library = ctypes.CDLL(str(path), mode=getattr(os, "RTLD_DEEPBIND", 0) | os.RTLD_LOCAL | os.RTLD_NOW)
@@ -159,6 +161,9 @@ class Device:
         if not self.handle:
             raise InputError("Embree found no usable processor: it needs SSE2 on x86-64, or an arm64 processor")
         weakref.finalize(self, lib.rtcReleaseDevice, self.handle).atexit = False
+        version = lib.rtcGetDeviceProperty(self.handle, DEVICE_VERSION)
+        if version not in VERSIONS:
+            raise InputError(f"Embree {version // 10000}.{version // 100 % 100} was loaded, 4.4 is needed: reinstall the package 'embreex', or the extension")
         self._bytes = np.zeros(1, np.int64)
         self._unreported = 0
         self._commits = threading.RLock()  # one at a time, so that each knows its bytes

@@ -19,7 +19,7 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 @dataclass(frozen=True)
 class Environment:
-    """image: (H, W, 3) float32 radiance, rows bottom up. marginal: (H + 1,) cumulative share of rows; conditional: (H, W + 1) of columns within a row."""
+    """image: (H, W, 3) float32, finite, rows bottom up. marginal: (H + 1,) cumulative share of rows; conditional: (H, W + 1) of columns within a row."""
 
     image: F32
     marginal: F32
@@ -31,8 +31,11 @@ def build_environment(world: World) -> Environment | None:
     if world.image is None:
         return None
     image = np.ascontiguousarray(world.image, np.float32)
+    broken = ~np.isfinite(image)
+    if broken.any():
+        image = np.where(broken, np.float32(0.0), image)  # Cycles drops the light of a path that is not finite
     h, w = image.shape[:2]
-    value = np.maximum(np.nan_to_num(image.astype(np.float64)), 0) @ _LUMINANCE
+    value = np.maximum(image.astype(np.float64), 0) @ _LUMINANCE
     # A lookup interpolates: what a pixel's area shows is near the mean of its neighbourhood.
     value = (np.roll(value, 1, 1) + 2 * value + np.roll(value, -1, 1)) / 4
     padded = np.pad(value, ((1, 1), (0, 0)), mode="edge")

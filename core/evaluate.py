@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,10 +51,7 @@ class Store:
         digest = hashlib.sha256(str(samples).encode())
         for path in sorted(Path(__file__).parent.glob("*.py")):
             digest.update(path.read_bytes())
-        i, c = scene.instances, scene.camera
-        for array in (i.transform, i.mesh, i.slots, i.flags, scene.mesh_bounds, scene.materials, scene.lights, scene.world.color, c.to_world, c.frame):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        digest.update(repr((scene.film, scene.limits)).encode())
+        _add(digest, scene)
         self.digest = digest.hexdigest()
 
     def get(self, name: str, compute: Callable[[], tuple[dict[str, Any], dict[str, np.ndarray]]]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -68,6 +65,27 @@ class Store:
             content: dict[str, Any] = {"figures": json.dumps(figures, default=float), **arrays}
             np.savez_compressed(partial, **content)
         return figures, arrays
+
+
+def _add(digest: Any, value: Any) -> None:
+    """All that a value consists of: structs, arrays, and what a sequence of meshes reads."""
+    if isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype} {value.shape}".encode())
+        digest.update(np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value):
+        for member in fields(value):
+            digest.update(member.name.encode())
+            _add(digest, getattr(value, member.name))
+    elif isinstance(value, Mapping):
+        for key, item in value.items():
+            digest.update(repr(key).encode())
+            _add(digest, item)
+    elif isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        digest.update(f"[{len(value)}".encode())
+        for index in range(len(value)):
+            _add(digest, value[index])
+    else:
+        digest.update(repr(value).encode())
 
 
 def keep_of(scene: Scene, policy: str) -> tuple[Callable[[float], np.ndarray], np.ndarray]:

@@ -30,6 +30,7 @@ from .regions import Cut, Regions
 from .scene import F32, I32, I64, U8, RayType, Scene
 from .tlas import Tlas
 from .tracer import Prepared, advanced, prepare, trace
+from .twins import Twins
 from .view import View
 
 COLD_HITS = 7  # segments of one round that must cross a box before it is opened: fewer is chance
@@ -123,6 +124,7 @@ class Loop:
         self.thorough = False  # whether a measurement takes all paths at once, as the last frame needed them
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         self._shown = np.zeros(0, np.int32)  # large instances in view
+        self._twins = Twins()
         self._enter(scene, cancelled)
         start = time.perf_counter()
         self.exists = existing(scene.instances.bounds)
@@ -455,7 +457,7 @@ class Loop:
 
     def result(self, keep: np.ndarray, score: F32, hits: I64, **figures: float | int) -> CullingResult:
         """States for keep (N,) bool, with the final structures built and counted; figures go into the stats. What the next frame need not have is freed."""
-        keep = self.kept = keep | self.pinned
+        keep = self.kept = self._twins.joined(self.scene.instances.bounds, keep | self.pinned)
         self.active |= keep
         self._provide(silent)
         tlas = self.build(keep)

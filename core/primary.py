@@ -113,6 +113,9 @@ def in_view(scene: Scene, margin: float = 0.05) -> NDArray[np.bool_]:
     """Instances that camera rays may see: (N,) bool. Visible to them, and the box is not wholly beyond one side of the view, widened by margin (a share of half
     the picture) and by the lens: so no pass of `pass_camera` sees another."""
     instances, camera = scene.instances, scene.camera
+    if camera.aperture and not camera.orthographic:  # a pass that sees through the edge of the lens has its picture shifted
+        shift = camera.aperture / camera.focus
+        camera = dataclasses.replace(camera, frame=camera.frame + np.array([-shift, shift, -shift, shift]))
     matrix, _ = projection(camera)
     planes = np.concatenate([(1 + margin) * matrix[3] + sign * matrix[axis] for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1))] + [matrix[3] + matrix[2]])
     planes = planes.reshape(-1, 4)

@@ -22,7 +22,7 @@ class Tlas:
     def __init__(self, instances: Instances, blas: BlasCache, active: np.ndarray) -> None:
         """Build over the instances where active (N,) bool holds; their meshes must be in blas. Meshes without triangles are left out."""
         device, lib = blas.device, embree.lib
-        self._blas = blas  # keeps the device, and with `scene` handles below every BLAS that Embree refers to
+        self._blas = blas  # keeps the device
         chosen = np.flatnonzero(active).astype(np.int32)
         chosen = chosen[blas.table["triangle_count"][instances.mesh[chosen]] > 0]
         visibility = instances.flags[chosen] & ALL_RAYS
@@ -31,6 +31,7 @@ class Tlas:
         groups, starts = np.unique(visibility[order], return_index=True)
         self.first: I64 = np.append(starts, len(chosen)).astype(np.int64)
         meshes, entry_mesh = np.unique(instances.mesh[self.ids], return_inverse=True)
+        self._built = blas.built(meshes)  # with the vertices that Embree reads in place, also when the cache lets go of them
         self._scenes = np.ascontiguousarray(blas.scenes[meshes])
         self._index = np.ascontiguousarray(entry_mesh, np.uint32)
         self._transform = np.ascontiguousarray(instances.transform[self.ids].transpose(0, 2, 1))  # columns, as Embree wants them

@@ -125,6 +125,8 @@ def trace(
     """
     share()
     scene = prepared.scene
+    if not prepared.blas.table["triangle_count"][scene.instances.mesh[tlas.ids]].all():
+        raise RuntimeError("a mesh was freed that the TLAS shows")
     width, height = size or (scene.film.width, scene.film.height)
     sums = np.zeros((height, width, 4), np.float32)
     stats = np.zeros(2, np.int64)

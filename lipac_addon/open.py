@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import stat
 import struct
 from collections.abc import Callable
 from contextlib import suppress
@@ -49,6 +50,7 @@ def open_scene(path: Path) -> None:
     if suffix == ".blend":
         _call(bpy.ops.wm.open_mainfile, path, load_ui=False, use_scripts=False)
         leave_modes()
+        _check_files()
     elif suffix in IMPORTERS:
         _check_gltf(path)
         bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -92,6 +94,17 @@ def missing_libraries() -> list[str]:
     return [f"linked library is missing: {library.filepath}" for library in bpy.data.libraries if library.is_missing]
 
 
+def _check_files() -> None:
+    """Raise InputError where the open file reads a pipe or a device as a picture: whoever reads that waits for ever."""
+    for image in bpy.data.images:
+        if image.source in ("FILE", "SEQUENCE", "MOVIE", "TILED") and not image.packed_files and image.filepath:
+            path = Path(bpy.path.abspath(image.filepath, library=image.library))
+            with suppress(OSError, ValueError):
+                kind = path.stat().st_mode
+                if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
+                    raise InputError(f"image {image.name!r} is no picture but a pipe or a device: {path}; give it a file")
+
+
 def _call(operator: Callable[..., Any], path: Path, **arguments: object) -> None:
     """Run an operator on a file; its failure becomes one line."""
     try:
@@ -120,7 +133,9 @@ def _check_gltf(path: Path) -> None:
     try:
         document = json.loads(_glb_json(path) if path.suffix.lower() == ".glb" else path.read_bytes())
         required = document.get("extensionsRequired", [])
-    except (ValueError, struct.error, AttributeError) as error:
+        if not isinstance(required, list) or not all(isinstance(name, str) for name in required):
+            raise ValueError("extensionsRequired is no list of names")
+    except (ValueError, struct.error, AttributeError, RecursionError) as error:
         raise InputError(f"cannot read {path}: it is truncated or not glTF; export it again") from error
     for name in required:
         if name in _DECODERS:

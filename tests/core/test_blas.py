@@ -8,11 +8,15 @@ import time
 import numpy as np
 import pytest
 
+from lipac.core import embree
 from lipac.core import scene as s
 from lipac.core.analysis import analyze
 from lipac.core.blas import LOOKS, BlasCache
+from lipac.core.change import Change
 from lipac.core.culling import CullOptions
 from lipac.core.embree import Device
+from lipac.core.errors import InputError
+from lipac.core.frames import Shot
 from lipac.core.tlas import Tlas
 
 from . import scenes
@@ -209,3 +213,23 @@ def test_bytes_by_count_are_near_those_that_are_measured() -> None:
     cache.need(np.array([1, 2, 3]))
     assert cache.counted_bytes[0] == 0
     np.testing.assert_allclose(cache.counted_bytes[1:], cache.bytes_of[1:], rtol=0.34)
+
+
+@pytest.mark.parametrize("policy", ["distance", "frustum", "solid-angle"])
+def test_heuristics_hold_no_more_than_they_keep(policy: str) -> None:
+    """A camera that passes a row of different things: what is behind is freed."""
+    meshes = [scenes.sphere(rings) for rings in range(4, 24)]
+    placement = [(k, scenes.placed((0, 6.0 * k, 0)), 0) for k in range(len(meshes))]
+    shot = Shot(CullOptions(policy=policy, distance=10.0, solid_angle=10.0))
+    for y in range(-5, 110, 12):
+        scene = scenes.build(meshes, placement, camera=scenes.look_at((0, y, 1), (0, y + 5, 0)))
+        stats = shot.advance(scene, Change(None, None, NONE, NONE, False, True)).stats
+        assert stats["blas_held_bytes"] == stats["blas_bytes"]
+    assert stats["culled"] > 5
+
+
+def test_another_embree_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose structs may differ from those that are written here."""
+    monkeypatch.setattr(embree, "VERSIONS", range(40300, 40400))
+    with pytest.raises(InputError, match=r"Embree 4\.4 was loaded"):
+        Device()

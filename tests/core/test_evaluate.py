@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from lipac.core import judge as judge_module
 from lipac.core import scene as s
 from lipac.core.budget import Budget
 from lipac.core.culling import CullOptions
-from lipac.core.evaluate import BUDGETS, HEURISTICS, OURS, Evaluation, Settings, at_equal_error, holds, keep_of
+from lipac.core.evaluate import BUDGETS, HEURISTICS, OURS, Evaluation, Settings, Store, at_equal_error, holds, keep_of
 from lipac.core.judge import Judge, picture_change
 from lipac.core.oracle import retained, search
 
@@ -123,3 +124,34 @@ def test_an_evaluation_is_complete_and_goes_on_where_it_was(tmp_path: Path) -> N
     rays = other.judge.loop.rays
     other.measure("none", 0.0, without())
     assert other.judge.loop.rays > rays
+
+
+def test_pieces_are_kept_apart_by_all_that_they_depend_on(tmp_path: Path) -> None:
+    """Each variant changes one thing that a picture depends on."""
+
+    def variant(**changes: object) -> s.Scene:
+        return dataclasses.replace(stage(), **changes)  # type: ignore[arg-type]
+
+    def camera(**changes: object) -> s.Scene:
+        return variant(camera=dataclasses.replace(stage().camera, **changes))  # type: ignore[arg-type]
+
+    mesh = scenes.cube()
+    moved = s.Mesh(mesh.positions * np.float32(0.9), mesh.triangles)
+    sky = np.zeros((4, 8, 3), np.float32)
+    lit = sky.copy()
+    lit[2, 3] = 5
+    scenes_ = [
+        stage(),
+        variant(meshes=[moved, *stage().meshes[1:]]),
+        variant(world=s.World(np.zeros(3, np.float32), sky)),
+        variant(world=s.World(np.zeros(3, np.float32), lit)),
+        camera(aperture=0.1),
+        camera(aperture=0.1, focus=2.0),
+        camera(orthographic=True),
+        variant(slot_materials=np.zeros(2, np.int32)),
+        variant(limits=s.PathLimits(total=2)),
+        variant(uv_maps=("", "other")),
+    ]
+    digests = [Store(tmp_path, scene, 4).digest for scene in scenes_]
+    assert len(set(digests)) == len(digests)
+    assert Store(tmp_path, stage(), 4).digest == digests[0] != Store(tmp_path, stage(), 8).digest

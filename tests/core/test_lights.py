@@ -218,3 +218,15 @@ def test_many_emitters_share_their_distribution() -> None:
     placement = [(0, scenes.placed((3.0 * i, 0, 0), 1.0 + 0.1 * i), 0) for i in range(50)]
     lights = Lights(scenes.build([scenes.sphere(8)], placement, [glowing(1.0)]))
     assert len(lights.emissive) == 50 and len(lights.nodes) == 99 and len(lights.meshes) == 1
+
+
+@pytest.mark.parametrize("broken", [np.inf, -np.inf, np.nan])
+def test_one_broken_pixel_of_a_world_poisons_nothing(broken: float) -> None:
+    """It gives no light, as in Cycles, which drops such paths; the others are sampled as without it."""
+    image = np.random.default_rng(0).random((8, 16, 3), np.float32)
+    dark = image.copy()
+    image[3, 5, 1], dark[3, 5, 1] = broken, 0
+    found, wanted = (build_environment(s.World(np.zeros(3, np.float32), each)) for each in (image, dark))
+    assert found is not None and wanted is not None
+    for name in ("image", "marginal", "conditional"):
+        assert (getattr(found, name) == getattr(wanted, name)).all(), name

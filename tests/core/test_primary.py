@@ -3,10 +3,12 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from lipac.core import scene as s
 from lipac.core.blas import BlasCache
-from lipac.core.primary import HIT, MeshTable, Primary, pass_camera, trace_primary
+from lipac.core.camera import projection
+from lipac.core.primary import HIT, MeshTable, Primary, in_view, pass_camera, trace_primary
 from lipac.core.tlas import Tlas
 from lipac.core.tracer import prepare, trace
 
@@ -128,3 +130,20 @@ def test_hit_layout():
     """The kernel reads records of 16 bytes."""
     assert HIT.itemsize == 16
     assert [HIT.fields[name][1] for name in ("instance", "triangle", "b1", "b2")] == [0, 4, 8, 12]
+
+
+@pytest.mark.parametrize(("focus", "aperture"), [(0.5, 0.018), (0.3, 0.009), (5.0, 0.1)])
+def test_what_any_pass_sees_is_in_view(focus, aperture):
+    """Close focus with a wide lens shifts the picture of a pass by more than the margin: no small thing at its edge is left out."""
+    rng = np.random.default_rng(2)
+    camera = dataclasses.replace(look_at((0, 0, 0), (0, 1, 0), half_width=0.36), aperture=aperture, focus=focus)
+    points = rng.uniform((-2, 0.05, -1.5), (2, 3, 1.5), (4000, 3))
+    scene = build([quad()], [(0, placed(tuple(p), 1e-3), 0) for p in points], camera=camera)
+    found = in_view(scene)
+    seen = np.zeros(len(points), bool)
+    for index in range(200):
+        matrix, _ = projection(pass_camera(camera, scene.film, SIZE, index, 200))
+        clip = np.c_[points, np.ones(len(points))] @ matrix.T
+        seen |= (np.abs(clip[:, :2]) < clip[:, 3:]).all(axis=1)
+    assert (seen & ~found).sum() == 0
+    assert found.sum() < len(points)

@@ -161,3 +161,23 @@ def test_meshes_without_triangles_are_passed_over() -> None:
     blas.need(scene.instances.mesh)
     tlas = Tlas(scene.instances, blas, np.ones(2, bool))
     assert tlas.ids.tolist() == [1]
+
+
+def test_a_tlas_outlives_what_the_cache_lets_go_of() -> None:
+    """Its hits are the same after everything was freed, and other memory was asked for."""
+    scene = scenes.build([scenes.sphere(24), scenes.cube()], [(0, scenes.placed((0, 0, 0)), 0), (1, scenes.placed((2, 0, 0)), 0)])
+    blas = BlasCache(scene.meshes)
+    blas.need(np.array([0, 1]))
+    tlas = Tlas(scene.instances, blas, np.ones(2, bool))
+    rng = np.random.default_rng(0)
+    org = (rng.normal(size=(3000, 3)) * 3).astype(np.float32)
+    direction = (rng.uniform(-1, 2, (3000, 3)) - org).astype(np.float32)
+    before = shoot(tlas, org, direction)
+    blas.keep_only(np.zeros(0, np.int64))
+    gc.collect()
+    trash = [np.full(n, np.nan, np.float32) for n in (400, 3000, 4000, 8000) for _ in range(50)]
+    after = shoot(tlas, org, direction)
+    assert trash
+    assert np.isfinite(before[2]).sum() > 1000
+    for a, b in zip(before, after, strict=True):
+        np.testing.assert_array_equal(a, b)

@@ -127,13 +127,36 @@ def test_embree_without_memory() -> None:
     assert blas.scenes[1] != 0
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD")
-def test_beside_another_embree() -> None:
-    """The core's tests of tracing with Blender's own Embree in global scope, as in a Blender program."""
-    libraries = [path for folder in Path(bpy.__file__).parents for path in (folder / "lib").glob("libembree4.so*")]
-    assert libraries, "this Blender brings no Embree"
+def blenders(pattern: str) -> Path:
+    """A library that this Blender brings."""
+    found = [path for folder in Path(bpy.__file__).parents for path in (folder / "lib").glob(pattern)]
+    assert found, f"this Blender brings no {pattern}"
+    return found[0]
+
+
+def traced(**environment: str) -> None:
+    """The core's tests of tracing, in a process of its own."""
     names = ("test_tlas.py", "test_hitboxes.py", "test_tracer.py::test_same_picture_and_counts_at_any_number_of_threads")
     tests = [str(ROOT / "tests" / "core" / name) for name in names]
     arguments = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests]
-    done = subprocess.run(arguments, cwd=ROOT, env=os.environ | {"LD_PRELOAD": str(libraries[0])}, capture_output=True, text=True, timeout=600, check=False)
+    done = subprocess.run(arguments, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD")
+def test_beside_another_embree() -> None:
+    """With Blender's own Embree in global scope, as in a Blender program."""
+    traced(LD_PRELOAD=str(blenders("libembree4.so*")))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of libraries on Linux")
+def test_with_blenders_tbb(tmp_path: Path) -> None:
+    """Our Embree on the TBB that Blender brings, which is another version: so it comes about on Windows, where both have one name."""
+    package = Path(embree._library_path())
+    needed = next(package.parent.glob("libtbb*.so*")).name
+    (tmp_path / "embreex").mkdir()
+    (tmp_path / "embreex" / "__init__.py").touch()
+    (tmp_path / "embreex.libs").mkdir()
+    shutil.copy(package, tmp_path / "embreex.libs")
+    shutil.copy(blenders("libtbb.so*").resolve(), tmp_path / "embreex.libs" / needed)
+    traced(PYTHONPATH=str(tmp_path))

@@ -1,6 +1,7 @@
 """Opening and importing scenes: what works, and one line for what does not."""
 
 import json
+import os
 import struct
 
 import bpy
@@ -32,6 +33,9 @@ def damaged(tmp_path, boxes_file):
         "draco.glb": (struct.pack("<4sII", b"glTF", 2, 276) + struct.pack("<II", 256, 0x4E4F534A) + chunk, "Draco"),
         "meshopt.gltf": (json.dumps(meshopt).encode(), "meshopt"),
         "list.gltf": (b"[1, 2]", "not glTF"),
+        "word.gltf": (json.dumps(document | {"extensionsRequired": "KHR"}).encode(), "not glTF"),
+        "table.gltf": (json.dumps(document | {"extensionsRequired": [{}, []]}).encode(), "not glTF"),
+        "deep.gltf": (b"[" * 100_000, "not glTF"),
         "note.txt": (b"hello", "cannot read '.txt'"),
     }
     for name, (data, says) in files.items():
@@ -114,3 +118,30 @@ def test_nothing_to_frame():
     bpy.ops.wm.read_factory_settings(use_empty=True)
     with pytest.raises(InputError, match="nothing to render"):
         frame_everything(bpy.context.scene)
+
+
+@pytest.mark.parametrize("mode", ["EDIT", "SCULPT"])
+def test_other_modes_are_left(boxes_file, tmp_path, mode):
+    bpy.ops.wm.open_mainfile(filepath=str(boxes_file))
+    bpy.context.view_layer.objects.active = bpy.data.objects["wall"]
+    bpy.ops.object.mode_set(mode=mode)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "edited.blend"))
+    open_scene(tmp_path / "edited.blend")
+    assert {ob.mode for ob in bpy.data.objects} == {"OBJECT"}
+    assert len(bpy.data.objects["wall"].data.polygons) == 6
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names")
+def test_a_pipe_in_the_place_of_a_picture(boxes_file, tmp_path):
+    """Reading it would wait for ever."""
+    bpy.ops.wm.open_mainfile(filepath=str(boxes_file))
+    image = bpy.data.images.new("pipe", 4, 4)
+    image.filepath_raw, image.file_format = str(tmp_path / "pipe.png"), "PNG"
+    image.save()
+    image.source, image.use_fake_user = "FILE", True
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "pipe.blend"))
+    open_scene(tmp_path / "pipe.blend")
+    (tmp_path / "pipe.png").unlink()
+    os.mkfifo(tmp_path / "pipe.png")
+    with pytest.raises(InputError, match="image 'pipe' is no picture but a pipe"):
+        open_scene(tmp_path / "pipe.blend")

@@ -124,6 +124,31 @@ def test_path_engine(blend, tmp_path):
     assert (tmp_path / "frame_0001.exr").stat().st_size > 0
 
 
+def test_what_is_approximated_is_said(blend, tmp_path, capfd):
+    """On the console, not in report.json alone; a long list is cut there."""
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    bpy.context.scene.render.use_border = bpy.context.scene.render.use_multiview = True
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "border.blend"))
+    assert main(["render", str(tmp_path / "border.blend"), "-o", str(tmp_path), "--cull", "none", "--quiet", *SMALL]) == 0
+    out, err = capfd.readouterr()
+    assert "approximated: render region: the whole picture is rendered\n" in err
+    assert "approximated: stereo: one view is rendered" in err
+    seconds = float(out.splitlines()[-1].split()[0])
+    assert seconds > json.loads((tmp_path / "report.json").read_text())["frames"][0]["render_s"]
+
+
+def test_a_shot_of_a_million_frames_begins_at_once(blend, tmp_path):
+    """What is left of earlier commands is looked for where it is, not by its names."""
+    arguments = ["analyze", str(blend), "-o", str(tmp_path), "--frames", "1-1048574", "--cull", "frustum", "--quiet"]
+    process = subprocess.Popen([sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE)
+    limit = time.monotonic() + 120
+    while not (tmp_path / "states" / "frame_0001.npz").exists() and process.poll() is None and time.monotonic() < limit:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
+    assert (tmp_path / "states" / "frame_0001.npz").exists()
+
+
 def test_camera_auto_and_import(tmp_path):
     (tmp_path / "t.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     assert main(["render", str(tmp_path / "t.obj"), "-o", str(tmp_path), "--cull", "none", "--camera", "auto", "--quiet", *SMALL]) == 0

@@ -102,6 +102,27 @@ def test_resuming_with_other_options_is_refused(blend, tmp_path, capfd):
     assert main([*base, "--max-error", "0.5"]) == 0
 
 
+def test_what_a_library_holds_counts_for_resuming(blend, tmp_path, capfd):
+    """A linked file that changed makes other pictures, although the scene's own file is the same."""
+    library, scene = tmp_path / "library.blend", tmp_path / "scene.blend"
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    bpy.data.libraries.write(str(library), {bpy.data.objects["wall"]}, fake_user=True)
+    bpy.data.objects.remove(bpy.data.objects["wall"])
+    with bpy.data.libraries.load(str(library), link=True) as (_, into):
+        into.objects = ["wall"]
+    bpy.context.scene.collection.objects.link(into.objects[0])
+    bpy.ops.wm.save_as_mainfile(filepath=str(scene))
+    base = ["analyze", str(scene), "-o", str(tmp_path / "out"), "--cull", "distance", "--quiet"]
+    assert main(base) == 0
+    assert main([*base, "--resume"]) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(library))
+    bpy.data.objects["wall"].location.z += 100
+    bpy.ops.wm.save_as_mainfile(filepath=str(library))
+    capfd.readouterr()
+    assert main([*base, "--resume"]) == 2
+    assert "otherwise (file);" in capfd.readouterr().err
+
+
 def test_save_a_baked_copy(blend, tmp_path):
     """The copy hides what no frame needs; the scene's own file is not touched."""
     before = blend.read_bytes()
