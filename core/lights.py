@@ -48,8 +48,9 @@ from .shading import T_TRANSFORM, corners
     L_WORLD_VISIBILITY,
     L_WORLD_LIGHT,
     L_COUNT_SHAPES,
-) = range(20)
-LIGHTS = 20
+    L_SEEN,
+) = range(21)
+LIGHTS = 21
 
 # One emitter of the tree: a lamp, or an emissive instance with its part of the triangle distribution.
 EMITTER = np.dtype([("lamp", "i4"), ("instance", "i4"), ("first", "i8"), ("count", "i8")], align=True)
@@ -173,6 +174,7 @@ class Lights:
         for m, mesh in self.meshes.items():
             mesh_table[m] = mesh_addresses(mesh)
         image = self.environment.image if self.environment else np.zeros((1, 1, 3), np.float32)
+        seen = np.zeros((0, 0, 3), np.float32) if scene.world.seen is None else np.ascontiguousarray(scene.world.seen, np.float32)
         self._arrays = (
             np.array(records, EMITTER),
             tree.trails,
@@ -183,6 +185,7 @@ class Lights:
             infinite_cdf,
             infinite,
             mesh_table,
+            seen,
         )
         e = self.environment
         h, w = image.shape[:2]
@@ -191,11 +194,12 @@ class Lights:
                 len(self.lamps),
                 len(records),
                 len(infinite),
-                *[address(a) for a in self._arrays],
+                *[address(a) for a in self._arrays[:-1]],
                 *((address(e.image), w, h, address(e.marginal), address(e.conditional)) if e else (0, 0, 0, 0, 0)),
                 scene.world.visibility,
                 len(infinite) - 1 if e else 0,
                 np.count_nonzero(self.lamps[:, K_RADIANCE : K_RADIANCE + 3].any(1)),
+                address(seen) if e else 0,
             ],
             np.uint64,
         )

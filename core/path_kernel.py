@@ -17,10 +17,22 @@ from .bsdf import bsdf_blur, bsdf_sample, bsdf_setup
 from .camera import CAMERA, camera_ray
 from .direct_light import add_direct_light, add_lamps_seen, world_radiance
 from .embree import HIT_U, HIT_V, PRIM_ID, TFAR
+from .environment import environment_radiance
 from .feedback import COLUMNS, ROWS
 from .film import filter_offset
 from .lamps import FAR
-from .lights import L_COUNT_SHAPES, L_EMITTERS, L_IMAGE, L_INFINITE, L_WORLD_VISIBILITY, triangle_density, world_density
+from .lights import (
+    L_COUNT_SHAPES,
+    L_EMITTERS,
+    L_HEIGHT,
+    L_IMAGE,
+    L_INFINITE,
+    L_SEEN,
+    L_WIDTH,
+    L_WORLD_VISIBILITY,
+    triangle_density,
+    world_density,
+)
 from .lobes import (
     BACKFACING,
     C_EMISSION,
@@ -190,6 +202,8 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
                 w.total[3] += (tr + tg + tb) * _THIRD
             elif np.int64(s.lights[L_WORLD_VISIBILITY]) & (1 << ray_type) != 0:
                 r, g, b = world_radiance(s, dx, dy, dz)
+                if ray_type == _CAMERA and s.lights[L_SEEN] != np.uint64(0):
+                    r, g, b = environment_radiance(s.lights[L_SEEN], np.int64(s.lights[L_WIDTH]), np.int64(s.lights[L_HEIGHT]), dx, dy, dz)
                 f = _ONE
                 if mis and s.lights[L_IMAGE] != np.uint64(0):
                     if strategy == BOTH:

@@ -245,11 +245,13 @@ class World:
     image: (H, W, 3) float32 equirectangular radiance, rows bottom up, or None. The middle column looks along -X:
     u = atan2(y, -x) / 2pi + 0.5, v = asin(z) / pi + 0.5 for a unit world direction (x, y, z).
     visibility: bit per RayType.
+    seen: (H, W, 3), as the image: what camera rays see, where that is something else.
     """
 
     color: F32
     image: F32 | None = None
     visibility: int = ALL_RAYS
+    seen: F32 | None = None
 
 
 @dataclass(frozen=True)

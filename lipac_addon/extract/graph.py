@@ -256,7 +256,7 @@ class GraphReader:
         if item.type in GEOMETRY_TYPES:
             self._read_geometry(node, legacy, lines, geometry_changed)
         elif item.type == "LIGHT":
-            node.lamp, node.data = read_lamp(item.data), item.data.as_pointer()
+            node.lamp, node.data = read_lamp(item), item.data.as_pointer()
         if node.kind == Kind.OBJECT and item.instance_type == "COLLECTION" and item.instance_collection is not None:
             node.collection, node.kind = item.instance_collection, Kind.COLLECTION
             node.collection_name = full_name(node.collection)

@@ -16,7 +16,7 @@ KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT,
 
 
 def _node_strength(light: Any, report: Callable[[str], None]) -> np.ndarray[Any, Any]:
-    """(3,) factor by the light's node tree: colour times strength of its Emission node where these are constant."""
+    """(3,) factor by the light's node tree: colour times strength of its Emission node where these are constant; of a Light Falloff, its strength."""
     if light.node_tree is None:
         return np.ones(3)
     inlined = light.inline_shader_nodes()
@@ -32,6 +32,9 @@ def _node_strength(light: Any, report: Callable[[str], None]) -> np.ndarray[Any,
         socket = node.inputs[name]
         if socket.is_linked:
             report(f"light {light.name}: {name.lower()} by nodes is not rendered")
+            source = socket.links[0].from_node
+            if source.type == "LIGHT_FALLOFF" and not source.inputs["Strength"].is_linked:
+                factor = factor * source.inputs["Strength"].default_value
         else:
             value = socket.default_value
             factor = factor * (np.array(value[:3]) if name == "Color" else value)
@@ -40,7 +43,8 @@ def _node_strength(light: Any, report: Callable[[str], None]) -> np.ndarray[Any,
 
 @dataclass(frozen=True)
 class LampData:
-    """A light object's data. record: one of LIGHT as bytes, without what depends on the place; lines: what is rendered differently."""
+    """A light object's data. record: of LIGHT as bytes, without what depends on the place, one or more that shine together; lines: what is rendered
+    differently."""
 
     name: str
     record: bytes
@@ -56,12 +60,25 @@ class Lamp:
     transform: F64
 
 
-def read_lamp(light: Any) -> LampData | None:
-    """The data of a bpy.types.Light; None for a portal, which guides Cycles' sampling and is no light."""
+def read_lamp(item: Any) -> LampData | None:
+    """The data of a light object; None for a portal, which guides Cycles' sampling and is no light.
+
+    Where light linking says what blocks it, half of its light passes everything, and half nothing but what lets light pass: so both what it lights and what
+    shades it count.
+    """
+    light = item.data
     if light.type == "AREA" and light.cycles.is_portal:
         return None
     lines: list[str] = []
-    return LampData(light.name, _template(light, lines.append).tobytes(), tuple(lines))
+    record = _template(light, lines.append)
+    if item.light_linking.receiver_collection is not None:
+        lines.append(f"light {light.name}: light linking not rendered: everything is lit")
+    if item.light_linking.blocker_collection is not None and light.use_shadow:
+        lines.append(f"light {light.name}: shadow linking not rendered: half of the light passes everything")
+        record = np.repeat(record, 2)
+        record["power"] /= 2
+        record["cast_shadow"] = 0, 1
+    return LampData(light.name, record.tobytes(), tuple(lines))
 
 
 def _template(light: Any, report: Callable[[str], None]) -> Records:
@@ -100,12 +117,14 @@ def place_lamps(lamps: Sequence[Lamp], report: Callable[[str], object], warn: Ca
         if not good.all():
             warn(f"{int((~good).sum())} of light {lamp.data.name!r} left out: the transform is singular or not finite")
             transform = transform[good]
-        records = np.repeat(np.frombuffer(lamp.data.record, LIGHT), len(transform))
+        record = np.frombuffer(lamp.data.record, LIGHT)
+        records = np.repeat(record, len(transform))
+        transform = np.tile(transform, (len(record), 1, 1))
         lengths = np.linalg.norm(transform[:, :, :3], axis=1)
         for k, axis in enumerate(("axis_x", "axis_y", "axis_z")):
             records[axis] = transform[:, :, k] / lengths[:, k : k + 1]
         records["position"] = transform[:, :, 3]
         records["size"] *= lengths[:, :2]
-        records["visibility"] = lamp.visible if isinstance(lamp.visible, int) else np.asarray(lamp.visible)[good]
+        records["visibility"] = lamp.visible if isinstance(lamp.visible, int) else np.tile(np.asarray(lamp.visible)[good], len(record))
         parts.append(records)
     return np.concatenate(parts) if parts else np.zeros(0, LIGHT)

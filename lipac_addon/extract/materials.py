@@ -343,7 +343,7 @@ class _Converter:
 
     # Shader nodes
 
-    def node_bsdf_principled(self, node: Any) -> Records:
+    def node_bsdf_principled(self, node: Any) -> Tree:
         record = default_material()
         sockets = node.inputs
         self._color(record, "base_color", self.reader.value(sockets["Base Color"]))
@@ -361,10 +361,12 @@ class _Converter:
         for name, what in UNSUPPORTED.items():
             if name in sockets and (sockets[name].is_linked or sockets[name].default_value != 0):
                 self.report(f"{what} not rendered")
-        if "Thin Wall" in sockets and sockets["Thin Wall"].default_value:
-            self.report("thin wall not rendered")
         if sockets["Coat Normal"].is_linked:
             self.report("coat normal not rendered")
+        if "Thin Wall" in sockets and sockets["Thin Wall"].default_value:
+            self.report("thin wall not rendered")
+            if record["transmission"] > 0:  # passes straight on, where ours bends
+                return unsure(mixed(record, _clear()))
         return record
 
     def node_bsdf_diffuse(self, node: Any) -> Records:

@@ -193,7 +193,7 @@ def _stand_in(scene: Any) -> bool:
 def _same_light(a: Scene, b: Scene) -> bool:
     """Whether lamps, world and path limits are the same."""
     x, y = a.world, b.world
-    same_world = x.image is y.image and np.array_equal(x.color, y.color) and x.visibility == y.visibility
+    same_world = x.image is y.image and x.seen is y.seen and np.array_equal(x.color, y.color) and x.visibility == y.visibility
     return same_world and same_array(a.lights, b.lights) and a.limits == b.limits
 
 

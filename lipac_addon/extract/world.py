@@ -69,7 +69,17 @@ def constant_color(world: Any) -> F32 | None:
 def constant_world(world: Any) -> ExtractedWorld | None:
     """A bpy.types.World that is the same in all directions (None: black); None where it is not."""
     color = constant_color(world)
-    return None if color is None else ExtractedWorld(World(color, None, ALL_RAYS if world is None else _visibility(world)))
+    return None if color is None else ExtractedWorld(World(color, None, ALL_RAYS if world is None else _visibility(world)), _volume(world))
+
+
+def _volume(world: Any) -> tuple[str, ...]:
+    """A line where the world is filled with a volume."""
+    if world is None or world.node_tree is None:
+        return ()
+    tree = world.inline_shader_nodes()  # keeps the tree alive
+    output = tree.node_tree.get_output_node("CYCLES")
+    filled = output is not None and output.inputs["Volume"].is_linked
+    return (f"world {world.name}: volume not rendered: what only lights it or throws shadows into it is taken to be worth nothing",) if filled else ()
 
 
 def fingerprint(world: Any, frame: int) -> str:
@@ -123,9 +133,10 @@ def baked_world(world: Any) -> ExtractedWorld:
     """`extract_world` of a bpy.types.World that is not constant, right after a `RenderGraph` was evaluated."""
     tree = world.inline_shader_nodes()
     nodes = list(tree.node_tree.nodes)
-    lines = []
-    if any(n.type == "LIGHT_PATH" for n in nodes):
-        lines.append(f"world {world.name}: Light Path node, all rays see what the camera sees")
+    lines = [*_volume(world)]
+    split = any(n.type == "LIGHT_PATH" for n in nodes)
+    if split:
+        lines.append(f"world {world.name}: Light Path node, all rays but the camera's see what rays through glass see")
     sizes = [n.image.size[1] for n in nodes if n.type in {"TEX_ENVIRONMENT", "TEX_IMAGE"} and n.image is not None]
     height = int(np.clip(max([BAKE_HEIGHT, *sizes]), 1, MAX_HEIGHT))
     sun = any(n.type == "TEX_SKY" and n.sun_disc and n.sky_type not in {"PREETHAM", "HOSEK_WILKIE"} for n in nodes)
@@ -133,42 +144,72 @@ def baked_world(world: Any) -> ExtractedWorld:
         lines.append(f"world {world.name}: the sun disc of the sky is sampled at {180 / height:.2f} degrees a pixel")
     if max(sizes, default=0) > MAX_HEIGHT:
         lines.append(f"world {world.name}: image reduced to {2 * MAX_HEIGHT}x{MAX_HEIGHT}")
-    image = bake(world, height, SUPERSAMPLES if sun else 1)
-    return ExtractedWorld(World(np.zeros(3, np.float32), image, _visibility(world)), tuple(lines))
+    samples = SUPERSAMPLES if sun else 1
+    image, visible, black = bake(world, height, samples), _visibility(world), np.zeros(3, np.float32)
+    if not split:
+        return ExtractedWorld(World(black, image, visible), tuple(lines))
+    light = bake(world, height, samples, through=True)
+    if not light.any():
+        return ExtractedWorld(World(black, image, visible & 1 << RayType.CAMERA), tuple(lines))
+    return ExtractedWorld(World(black, light, visible, image), tuple(lines))
 
 
 @contextmanager
-def _bake_scene(world: Any) -> Iterator[Any]:
-    """A scene with nothing but a copy of the world, and a camera that sees all directions."""
+def _bake_scene(world: Any, through: bool) -> Iterator[Any]:
+    """A scene with nothing but a copy of the world, and a camera that sees all directions. through: glass that bends no ray is around the camera, so that what
+    meets the world are no camera rays."""
     copy = world.copy()
-    copy.cycles_visibility.camera = True
+    copy.cycles_visibility.camera = copy.cycles_visibility.transmission = True
+    for link in [link for link in copy.node_tree.links if link.to_node.type == "OUTPUT_WORLD" and link.to_socket.name == "Volume"]:
+        copy.node_tree.links.remove(link)  # which would hide the sky
     scene = bpy.data.scenes.new(".lipac world bake")
     camera = bpy.data.cameras.new(".lipac world bake")
     item = bpy.data.objects.new(".lipac world bake", camera)
+    made: list[Any] = []
     try:
         scene.world, scene.camera = copy, item
         scene.collection.objects.link(item)
         camera.type, camera.panorama_type = "PANO", "EQUIRECTANGULAR"
         item.rotation_euler = (np.pi / 2, 0.0, -np.pi / 2)
+        if through:
+            scene.collection.objects.link(_pane(made))
         yield scene
     finally:
         bpy.data.scenes.remove(scene)
-        bpy.data.objects.remove(item)
-        bpy.data.cameras.remove(camera)
-        bpy.data.worlds.remove(copy)
+        for block in (item, camera, copy, *made):
+            bpy.data.batch_remove([block])
 
 
-def bake(world: Any, height: int, samples: int) -> F32:
-    """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `core.scene.World.image`. Raises InputError if Cycles fails."""
+def _pane(made: list[Any]) -> Any:
+    """A cube around the origin that refracts by an index of 1; what is made for it goes into made."""
+    mesh, material = bpy.data.meshes.new(".lipac world bake"), bpy.data.materials.new(".lipac world bake")
+    item = bpy.data.objects.new(".lipac world bake", mesh)
+    made += [item, mesh, material]
+    item.rotation_euler = (0.1, 0.2, 0.3)  # no edge lies along a row of pixels
+    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    mesh.from_pydata(corners, [], [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    mesh.materials.append(material)
+    tree = material.node_tree
+    tree.nodes.clear()
+    output, node = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new("ShaderNodeBsdfRefraction")
+    node.inputs["Color"].default_value, node.inputs["Roughness"].default_value, node.inputs["IOR"].default_value = (1, 1, 1, 1), 0.0, 1.0
+    tree.links.new(node.outputs[0], output.inputs[0])
+    return item
+
+
+def bake(world: Any, height: int, samples: int, through: bool = False) -> F32:
+    """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `core.scene.World.image`; through: as others than camera rays
+    see it. Raises InputError if Cycles fails."""
     from ..pictures import read_picture
 
-    with no_new_images(), own_slot(), _bake_scene(world) as scene, tempfile.TemporaryDirectory(prefix="lipac") as folder:
+    with no_new_images(), own_slot(), _bake_scene(world, through) as scene, tempfile.TemporaryDirectory(prefix="lipac") as folder:
         scene.render.engine = "CYCLES"
         scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 2 * height, height, 100
         scene.render.use_compositing = scene.render.use_sequencer = False
         scene.render.film_transparent = False
         c = scene.cycles
-        c.device, c.samples, c.use_adaptive_sampling, c.use_denoising, c.max_bounces, c.film_exposure = "CPU", samples, False, False, 0, 1.0
+        c.device, c.samples, c.use_adaptive_sampling, c.use_denoising, c.max_bounces, c.film_exposure = "CPU", samples, False, False, 4 * through, 1.0
+        c.transmission_bounces = 4 * through  # an edge may be met twice
         c.pixel_filter_type, c.filter_width, c.sample_clamp_direct, c.seed = "BOX", 1.0 if samples > 1 else 0.01, 0.0, 0
         settings = scene.render.image_settings
         settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"

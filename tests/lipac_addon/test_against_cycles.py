@@ -353,6 +353,17 @@ def test_mixes_by_rays_and_sides(stage: Any, tmp_path: Path) -> None:
     check(tmp_path, samples=16)
 
 
+def test_a_backdrop_for_the_camera_alone(stage: Any, tmp_path: Path) -> None:
+    """A sky that lights but is not seen, and another that is seen but lights nothing."""
+    tree = stage.world.node_tree
+    mix, path = tree.nodes.new("ShaderNodeMix"), tree.nodes.new("ShaderNodeLightPath")
+    mix.data_type = "RGBA"
+    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs[0])
+    mix.inputs[6].default_value, mix.inputs[7].default_value = (1, 0.8, 0.6, 1), (0, 0.1, 0.3, 1)
+    tree.links.new(mix.outputs[2], tree.nodes["Background"].inputs["Color"])
+    check(tmp_path)
+
+
 @pytest.mark.parametrize(("name", "samples"), [("kitchen", 16), ("indoor", 4), ("rooms1024", 8), ("candela_city", 4)])
 def test_supplied_scenes(tmp_path, name, samples):
     path = SHARED / f"{name}.blend"

@@ -64,6 +64,38 @@ def test_temperature_nodes_and_visibility() -> None:
     assert r["visibility"] & (1 << RayType.CAMERA)
 
 
+def test_half_the_light_passes_what_may_not_block_it() -> None:
+    """Light linking that names blockers: nobody here knows which are, so half of the light has shadows and half has none, at each place of the lamp."""
+    held, blockers = collection("held", linked=False), collection("blockers", linked=False)
+    item = add("lamp", lamp("POINT", energy=8.0), held, location=(0, 0, 5))
+    item.light_linking.blocker_collection = blockers
+    item.visible_camera = False
+    for k in range(2):
+        instance_of(f"e {k}", held, location=(k, 0, 0))
+    extraction = extracted()
+    lights, origin = extraction.scene.lights, extraction.scene.origin
+    np.testing.assert_allclose(lights["position"] + origin, [[0, 0, 5], [1, 0, 5]] * 2, atol=1e-6)
+    assert lights["cast_shadow"].tolist() == [0, 0, 1, 1]
+    np.testing.assert_allclose(lights["power"], 4.0)
+    assert extraction.scene.approximated == ("light POINT: shadow linking not rendered: half of the light passes everything",)
+
+
+def test_a_light_falloff_keeps_its_strength() -> None:
+    """As at a distance of a metre, and said."""
+    data = lamp("POINT", energy=2.0)
+    tree = data.node_tree
+    if tree is None:
+        pytest.skip("this Blender makes lights without a node tree")
+    emission = next((n for n in tree.nodes if n.type == "EMISSION"), None) or tree.nodes.new("ShaderNodeEmission")
+    falloff = tree.nodes.new("ShaderNodeLightFalloff")
+    falloff.inputs["Strength"].default_value = 50.0
+    tree.links.new(falloff.outputs["Linear"], emission.inputs["Strength"])
+    add("lamp", data)
+    extraction = extracted()
+    np.testing.assert_allclose(extraction.scene.lights["power"], 100.0)
+    assert len(extraction.scene.approximated) == 1
+
+
 def test_instanced_lights() -> None:
     """A collection with a light, instanced."""
     held = collection("held", linked=False)

@@ -247,6 +247,19 @@ def test_a_mix_of_mixes_refers_to_its_own_parts() -> None:
     assert records[at]["shader"] == Shader.DIFFUSE
 
 
+def test_thin_walls_let_rays_straight_through() -> None:
+    """Half of them; without transmission there is nothing to pass."""
+    t = Tree()
+    node = t.new("ShaderNodeBsdfPrincipled", {"Transmission Weight": 1.0})
+    if "Thin Wall" not in node.inputs:
+        pytest.skip("this Blender has no thin walls")
+    node.inputs["Thin Wall"].default_value = True
+    (head, *parts), _, lines = t.parts(node)
+    assert (head["shader"], [int(part["unsure"]) for part in parts], len(lines)) == (Shader.MIX, [1, 1], 1)
+    node.inputs["Transmission Weight"].default_value = 0.0
+    assert t.record(node)[0]["shader"] == Shader.PRINCIPLED
+
+
 def views(rays: Any) -> list[set[int]]:
     """What sees the second part: ray types from the front, and from the back."""
     return [{k for k in range(VIEWS) if int(rays) >> (k + side) & 1} for side in (0, VIEWS)]

@@ -81,6 +81,40 @@ def test_environment_image(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(np.roll(baked, 8, axis=1), pixels[..., :3], atol=0.011)
 
 
+def test_camera_and_other_rays_see_their_own_sky() -> None:
+    """A world by Is Camera Ray: a backdrop for the camera, another light for all else; both whole, and nothing of the bake is left."""
+    _, tree, background = new_world()
+    mix = tree.nodes.new("ShaderNodeMix")
+    mix.data_type = "RGBA"
+    tree.links.new(tree.nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"], mix.inputs[0])
+    mix.inputs[6].default_value, mix.inputs[7].default_value = (4, 2, 1, 1), (0, 0.5, 0, 1)
+    tree.links.new(mix.outputs[2], background.inputs["Color"])
+    blocks = [len(getattr(bpy.data, name)) for name in ("objects", "meshes", "materials", "worlds", "cameras", "scenes")]
+    extracted = extract_world(bpy.context.scene)
+    assert extracted.world.image is not None
+    assert extracted.world.seen is not None
+    for picture, color in ((extracted.world.image, (4, 2, 1)), (extracted.world.seen, (0, 0.5, 0))):
+        np.testing.assert_allclose(picture, np.broadcast_to(np.array(color, np.float32), picture.shape), rtol=1e-4, atol=1e-4)
+    assert len(extracted.approximated) == 1
+    assert blocks == [len(getattr(bpy.data, name)) for name in ("objects", "meshes", "materials", "worlds", "cameras", "scenes")]
+
+
+def test_a_world_in_fog_is_baked_without_it() -> None:
+    """And said, of a constant sky too."""
+    _, tree, background = new_world()
+    scatter = tree.nodes.new("ShaderNodeVolumeScatter")
+    tree.links.new(scatter.outputs[0], next(n for n in tree.nodes if n.type == "OUTPUT_WORLD").inputs["Volume"])
+    background.inputs["Color"].default_value = (1, 1, 1, 1)
+    extracted = extract_world(bpy.context.scene)
+    assert extracted.world.color.tolist() == [1, 1, 1]
+    assert len(extracted.approximated) == 1
+    tree.links.new(tree.nodes.new("ShaderNodeTexGradient").outputs[0], background.inputs["Color"])
+    extracted = extract_world(bpy.context.scene)
+    assert extracted.world.image is not None
+    assert extracted.world.image.max() > 0.5
+    assert "volume not rendered" in extracted.approximated[0]
+
+
 def test_sky_with_a_sun_keeps_its_power() -> None:
     """The sun disc, a pixel or two wide, brings the light that it brings at twice the resolution; and is reported."""
     world, tree, background = new_world()
