@@ -362,3 +362,20 @@ def _scatter_group(source: Any) -> Any:
     group.links.new(info.outputs["Geometry"], place.inputs["Instance"])
     group.links.new(place.outputs["Instances"], output.inputs[0])
     return group
+
+
+def test_a_baked_file_says_that_it_keeps_what_is_linked(moving: Any, tmp_path: Path) -> None:
+    """Blender would not save that a directly linked object is hidden."""
+    do(tmp_path / "local", (1,), bake=SHOT)
+    seen = shown(load_states(tmp_path / "local" / "states" / "frame_0001.npz"))
+    name = min(ob.name for ob in bpy.data.objects if ob.name.startswith("box") and ob.name not in seen)
+    library = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(library, {bpy.data.objects[name]})
+    bpy.data.objects.remove(bpy.data.objects[name])
+    with bpy.data.libraries.load(library, link=True) as (_, to):
+        to.objects = [name]
+    moving.collection.objects.link(to.objects[0])
+    done = do(tmp_path / "linked", (1,), bake=SHOT, save=tmp_path / "baked.blend")
+    assert any("its object is linked" in line for line in done.warnings)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "baked.blend"))
+    assert not bpy.data.objects[name].hide_render

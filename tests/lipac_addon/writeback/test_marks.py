@@ -1,5 +1,7 @@
 """The record in the file: whole, safe from what others wrote, and as lasting as what it speaks of."""
 
+from collections import Counter
+
 import bpy
 import numpy as np
 import pytest
@@ -177,3 +179,25 @@ def test_a_linked_object_stays_where_it_would_not_last(build, census_keys, shown
     assert apply(everything(keys), keys).removed.all()  # for the renders of this session it can be hidden
     restore()
     assert shown() == before
+
+
+def test_what_is_appended_from_a_culled_file(build, census_keys, shown, tmp_path):
+    """A masked host and a hidden object bring their marks along, and are shown again in full."""
+    build("nodes_object")
+    link(triangle("plain"), at=(0, 11, 0))
+    keys, _places = census_keys()
+    culled = ((keys.records["host"] >= 0) & (np.arange(len(keys.records)) % 2 == 0)) | (keys.records["object"] == keys.names.index("plain"))
+    before = Counter({who: n for who, n in shown().items() if who[0] != "Sun"})
+    apply(culled, keys)
+    library = str(tmp_path / "culled.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=library)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(library, link=False) as (_found, wanted):
+        wanted.objects = ["host", "plain", "source", "Camera"]
+    for ob in wanted.objects:
+        bpy.context.scene.collection.objects.link(ob)
+    bpy.context.scene.camera = bpy.data.objects["Camera"]
+    assert sum(shown().values()) < sum(before.values())
+    assert restore()
+    assert shown() == before
+    assert not [block for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.node_groups) for block in kind if block.name.startswith("LiPaC")]
