@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...core.scene import Records
 from ..keys import Keys, Kind
-from .references import References, instances_others, is_animated, is_unbaked, scenes_in_picture, simulates, takes_modifiers
+from .references import References, instances_others, is_animated, scenes_in_picture, simulates, takes_modifiers
 
 Mask = NDArray[np.bool_]
 
@@ -177,7 +177,7 @@ class _Planner:
             return DRIVES
         if self.references.elsewhere(ob):
             return ELSEWHERE
-        return UNBAKED if is_unbaked(ob) else None
+        return UNBAKED if self.references.holds_cache(ob) else None
 
     def modifier_obstacle(self, ob: bpy.types.Object | None) -> str | None:
         """Why no modifier of a host may be added or switched off; None where it may."""

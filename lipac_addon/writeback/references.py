@@ -33,6 +33,7 @@ class References:
         particle_collections = [p.instance_collection for p in bpy.data.particles if p.render_type == "COLLECTION" and p.instance_collection]
         self._picked = {ob for c in particle_collections for ob in c.all_objects}
         self._alone_in_nodes = self._objects_of_nodes()
+        self._caches = _closure([ob for ob in bpy.data.objects if is_unbaked(ob)], lambda ob: () if ob.parent is None else (ob.parent,))
         self._drivers = _read_by_drivers()
         self._elsewhere = _shown_in(others, users)
         self._particle_sources = {m.object for ob in bpy.data.objects for m in ob.modifiers if m.type == "PARTICLE_INSTANCE"}
@@ -62,6 +63,10 @@ class References:
     def particle_source(self, ob: bpy.types.Object) -> bool:
         """Whether a Particle Instance modifier of another object uses the object's particles."""
         return ob in self._particle_sources
+
+    def holds_cache(self, ob: bpy.types.Object) -> bool:
+        """Whether any change to the object, of which Blender is told, empties an unbaked cache: its own, or that of a child at any depth."""
+        return ob in self._caches
 
     def drives(self, ob: bpy.types.Object) -> bool:
         """Whether a driver reads if the object, or a modifier of it, is rendered."""

@@ -60,6 +60,22 @@ def test_an_unbaked_cache_is_left_alone(kind, itself, new_file, census_keys, sho
     assert shown() == before
 
 
+@pytest.mark.parametrize("kind", [emitter, cloth])
+def test_the_parent_of_an_unbaked_simulation_is_left_alone(kind, new_file, census_keys):
+    """Blender passes on that it changed."""
+    ob, cache = kind()
+    ob.parent = link(triangle("parent"), at=(1, 1, 1))
+    played()
+    keys, _places = census_keys()
+    info = cache.info
+    assert apply(keys.records["object"] == keys.names.index("parent"), keys).kept == {UNBAKED: 1}
+    bpy.context.view_layer.update()
+    assert cache.info == info
+    restore()
+    bpy.context.view_layer.update()
+    assert cache.info == info
+
+
 def test_a_simulation_zone_is_left_alone(new_file, census_keys):
     host = link(points("host", 8, faces=True))
     scatter(host, link(triangle("source"), at=(0, 9, 0)))
