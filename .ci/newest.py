@@ -1,6 +1,6 @@
 """Run the quick tests on whatever the package index serves today, upper bounds ignored, and print one line: what moved from the lock, and what broke.
 
-Reports, and never fails. Where tests break, each moved package goes back to its locked version in turn: those that mend a failure so are named.
+Reports, and never fails. Where tests break, moved packages go back to their locked versions in turn: the first that mends all failures so is named.
 """
 
 from __future__ import annotations
@@ -68,14 +68,15 @@ def main(requirements: Sequence[str]) -> str:
     status, closing = tests()
     if not status:
         return f"{closing} with {names}"
-    blamed = []
-    for name, (old, new) in moved.items():
+    mended = "none of them alone"
+    for name, (old, new) in sorted(moved.items(), key=lambda item: item[0] == "bpy"):  # the largest last
         if subprocess.run([*PIP, "install", "-q", "--no-deps", f"{name}=={old}"], check=False).returncode:
             continue
         if tests("--last-failed", "--last-failed-no-failures=none", "-x")[0] == 0:
-            blamed.append(name)
+            mended = name
+            break
         subprocess.run([*PIP, "install", "-q", "--no-deps", f"{name}=={new}"], check=False)
-    return f"{closing} with {names}; {' or '.join(blamed) or 'none of them alone'} at the lock's version mends it"
+    return f"{closing} with {names}; {mended} at the lock's version mends it"
 
 
 if __name__ == "__main__":
