@@ -8,7 +8,6 @@ import os
 import re
 import secrets
 import struct
-import time
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import IO
 
 _PART = re.compile(r"\.(?P<stem>.+)\.[0-9a-f]{16}\.part(?P<suffix>\.[^.]+)?")
-NEW_SECONDS = 1.0
 _PNG = b"\x89PNG\r\n\x1a\n"
 _EXR, _TILED, _DEEP, _MULTIPART = 20000630, 0x200, 0x800, 0x1000
 # Lines of a chunk by the number of a compression (OpenEXR file layout, "Compression")
@@ -42,19 +40,22 @@ def replacing(path: Path) -> Iterator[Path]:
 @contextmanager
 def _new_part(path: Path) -> Iterator[Path]:
     """A file of ours beside path, which is gone at the end. It is locked meanwhile: that tells others that somebody is at work."""
-    part = path.with_name(f".{path.stem}.{secrets.token_hex(8)}.part{path.suffix}")
-    handle = os.open(part, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
+    name = f".{path.stem}.{secrets.token_hex(8)}"
+    new, part = path.with_name(f"{name}.new{path.suffix}"), path.with_name(f"{name}.part{path.suffix}")
+    handle = os.open(new, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
     try:
         if os.name == "nt":  # nobody could put another in its place while it is open
             os.close(handle)
         else:
             _lock(handle, wait=False)
+        os.rename(new, part)  # locked before anybody takes it for a part
         yield part
     finally:
         if os.name != "nt":
             os.close(handle)
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+        for left in (part, new):
+            with suppress(OSError):
+                left.unlink(missing_ok=True)
 
 
 def check_writable(folder: Path) -> None:
@@ -74,10 +75,7 @@ def sweep(folder: Path, stems: set[str]) -> None:
 
 
 def _is_left(part: str) -> bool:
-    """Whether nobody writes to a part any more. One that is new may not be locked yet."""
-    with suppress(OSError):
-        if abs(time.time() - os.stat(part, follow_symlinks=False).st_mtime) < NEW_SECONDS:
-            return False
+    """Whether nobody writes to a part any more."""
     if os.name == "nt":
         return True  # one that is open cannot be removed
     try:

@@ -31,6 +31,7 @@ from .raster.passes import Passes, render_passes
 from .timeline import Timeline
 
 if TYPE_CHECKING:
+    from ..core.blas import BlasCache
     from ..core.film import Picture
     from ..core.hybrid import Light
     from ..core.loop import CullingResult
@@ -61,10 +62,12 @@ def render_hybrid(
     progress: Progress = silent,
     cancelled: Callable[[], bool] = lambda: False,
     decide: Callable[[Scene], CullingResult] | None = None,
+    built: Callable[[], BlasCache | None] = lambda: None,
 ) -> tuple[CullingResult, dict[str, Any]]:
     """Cull and render the current frame of the open file; save stem.exr, stem.png and stem_layers.exr. Returns what was decided, and figures for the report.
 
     scene: the frame, extracted. samples: paths per pixel. decide: what culls, on a worker thread; the default analyses this frame by itself.
+    built: asked for after that, what it has built of the scene's meshes.
     Raises InputError where it cannot be rendered, Cancelled where cancelled() says so.
     """
     from ..core import hybrid
@@ -79,7 +82,7 @@ def render_hybrid(
         hits = first_hits(hybrid.with_mode(scene, options.gi), options.primary, threads)
     scene = dataclasses.replace(hits.scene, meshes=hits.meshes)
     choose = decide or (lambda s: analyze(s, cull, part(progress, 0.0, 0.3), cancelled))
-    tracing = _Tracing(scene, samples, seed, threads, part(progress, 0.3, 0.95), cancelled, line)
+    tracing = _Tracing(scene, samples, seed, threads, part(progress, 0.3, 0.95), cancelled, line, built)
     passes = _draw(hits, tracing, choose, _sizes(scene, cull), options, line)
     del hits  # and what it has built
     if cancelled():
@@ -182,7 +185,18 @@ class _Tracing:
 
     result: CullingResult
 
-    def __init__(self, scene: Scene, samples: int, seed: int, threads: int, progress: Progress, cancelled: Callable[[], bool], line: Timeline) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        samples: int,
+        seed: int,
+        threads: int,
+        progress: Progress,
+        cancelled: Callable[[], bool],
+        line: Timeline,
+        built: Callable[[], BlasCache | None],
+    ) -> None:
+        self._built = built
         self.scene, self.seed, self.threads, self.progress, self.line = scene, seed, threads, progress, line
         self.size, self.passes = (scene.film.width, scene.film.height), min(samples, MOST_PASSES)
         self._cancelled, self._failed = cancelled, False
@@ -217,7 +231,8 @@ class _Tracing:
                 result = choose()
             with self.line.stage("building", "worker"):
                 device, active = shared_device(self.threads), result.active
-                blas = BlasCache(self.scene.meshes, device)
+                found = self._built()
+                blas = BlasCache(self.scene.meshes, device) if found is None else found
                 blas.need(self.scene.instances.mesh[active])
                 self._tlas = Tlas(self.scene.instances, blas, active)
                 self._prepared = prepare(self.scene, blas).with_emitters(active)

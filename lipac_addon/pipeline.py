@@ -121,6 +121,8 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     finished = {frame for frame in reported or () if job.resume and job.is_finished(frame)}
     _sweep(job, keep_analyses=reported is not None and (job.resume or bool(job.shot)))
     report.note(report.approximated, left_out(bpy.context.scene, job.engine))
+    if reported is not None or not (job.folder / "report.json").exists():  # else what is there stays until there is something to say
+        report.write(job.folder)
     with muted():
         writeback.restore()
     try:
@@ -391,7 +393,11 @@ def _by_ours(session: Session, frame: int, progress: Progress, cancelled: Cancel
         session.end_reading()
     check(cancelled)
     if job.engine == "hybrid":
-        result = _hybrid(job, extraction, entry, progress, cancelled, lambda scene: session.decide(extraction, scene, part(progress, 0.0, 0.3), cancelled))
+
+        def choose(scene: Scene) -> CullingResult:
+            return session.decide(extraction, scene, part(progress, 0.0, 0.3), cancelled)
+
+        result = _hybrid(job, extraction, entry, progress, cancelled, choose, lambda: session.blas)
     else:
         result = session.decide(extraction, None, part(progress, 0.0, ANALYSIS_SHARE), cancelled)
         check(cancelled)
@@ -423,12 +429,18 @@ def _verified(job: Job, scene: Scene | None, active: np.ndarray | None, progress
 
 
 def _hybrid(
-    job: Job, extraction: Extraction, entry: dict[str, Any], progress: Progress, cancelled: Cancel, decide: Callable[[Scene], CullingResult]
+    job: Job,
+    extraction: Extraction,
+    entry: dict[str, Any],
+    progress: Progress,
+    cancelled: Cancel,
+    decide: Callable[[Scene], CullingResult],
+    built: Callable[[], BlasCache | None] = lambda: None,
 ) -> CullingResult:
-    """Render a frame by the hybrid renderer; its figures go into the entry."""
+    """Render a frame by the hybrid renderer; its figures go into the entry. decide, built: as of `render_hybrid`."""
     samples = job.samples or samples_of(bpy.context.scene, job.engine)
     stem = job.stem(entry["frame"])
-    result, figures = render_hybrid(extraction.scene, job.hybrid, job.options, stem, samples, job.seed, job.threads, progress, cancelled, decide)
+    result, figures = render_hybrid(extraction.scene, job.hybrid, job.options, stem, samples, job.seed, job.threads, progress, cancelled, decide, built)
     entry |= result.stats | figures
     return result
 

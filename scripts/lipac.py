@@ -85,6 +85,9 @@ def guarded(name: str, arguments: Sequence[str]) -> int:
     except Exception as error:
         if os.environ.get("LIPAC_DEBUG", "") not in ("", "0"):
             raise
+        if "can't start new thread" in str(error):
+            say(f"lipac {name}: the system allows no more threads; allow this user more processes, or give --threads 1", sys.stderr)
+            return 1
         first = str(error).strip().splitlines()[:1]
         line, status = f"internal error: {type(error).__name__}: {''.join(first)} (LIPAC_DEBUG=1 shows more)", 1
     say(f"lipac {name}: {line}", sys.stderr)

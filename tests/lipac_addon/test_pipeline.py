@@ -12,6 +12,7 @@ from lipac.core.errors import Cancelled
 from lipac.core.files import is_whole
 from lipac.core.report import Report, load_states
 from lipac.lipac_addon import pipeline
+from lipac.lipac_addon.hybrid import HybridOptions
 from lipac.lipac_addon.pipeline import FRAME, SHOT, Job, run
 
 DISTANCE = CullOptions(policy="distance", distance=19.5)  # the boxes behind the wall are further
@@ -105,12 +106,14 @@ def test_a_rule_reads_no_mesh_for_blenders_engines(boxes, tmp_path, monkeypatch)
     assert (r.frames[0]["active"], r.frames[0]["culled"]) == (6, 4)
 
 
-def test_the_path_tracer_builds_nothing_twice(boxes, tmp_path, monkeypatch):
-    """Its picture is made of what the analysis has built."""
-    built, build = [], BlasCache._build
-    monkeypatch.setattr(BlasCache, "_build", lambda self, index, mesh: (built.append(index), build(self, index, mesh))[1])
-    run(Job(tmp_path, (1,), CullOptions(width=48), "path", samples=1), report())
-    assert len(built) == len(set(built)) > 0
+@pytest.mark.parametrize(("engine", "more"), [("path", 0), ("hybrid", 1)])
+def test_nothing_is_built_twice(boxes, tmp_path, monkeypatch, engine, more):
+    """The picture is made of what the analysis has built; traced first hits, of everything, take structures of their own."""
+    caches, build = [], BlasCache._build
+    monkeypatch.setattr(BlasCache, "_build", lambda self, index, mesh: (caches.append(self), build(self, index, mesh))[1])
+    job = Job(tmp_path, (1,), CullOptions(width=48), engine, samples=1, hybrid=HybridOptions(primary="traced", denoise=False))
+    run(job, report())
+    assert len({id(cache) for cache in caches}) == 1 + more
 
 
 def test_half_pictures_are_made_again(boxes, tmp_path):

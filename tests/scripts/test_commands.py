@@ -241,6 +241,11 @@ def test_help_is_quick_and_needs_no_blender():
     assert main(["--version"]) == 0
 
 
+def no_thread():
+    """As `threading` fails where a user may have no more processes."""
+    raise RuntimeError("can't start new thread")
+
+
 def test_our_own_errors_show_no_traceback(blend, tmp_path, monkeypatch, capfd):
     from lipac.scripts import options
 
@@ -251,6 +256,10 @@ def test_our_own_errors_show_no_traceback(blend, tmp_path, monkeypatch, capfd):
     err = capfd.readouterr().err
     assert err.count("\n") == 1
     assert "internal error: ZeroDivisionError" in err
+    monkeypatch.setattr(options, "own_version", no_thread)
+    assert main(arguments) == 1
+    assert "allows no more threads" in capfd.readouterr().err
+    monkeypatch.setattr(options, "own_version", lambda: 1 / 0)
     monkeypatch.setenv("LIPAC_DEBUG", "1")
     with pytest.raises(ZeroDivisionError):
         main(arguments)
