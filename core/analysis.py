@@ -7,15 +7,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .budget import Budget, Savings, unseen_share
-from .calibration import Base, Choice, Search
+from .budget import Budget, Savings
+from .calibration import Choice, Search, refined
+from .certificate import Certificate, Verdict
 from .culling import CullOptions, heuristic
+from .error_estimate import CONFIDENCE, NOTHING, Reference
 from .loop import CullingResult, Loop, Measurement
 from .path_log import PathLog
 from .progress import Progress, part, silent
-from .scene import RAY_TYPES, Scene
+from .regions import FANOUT
+from .scene import F64, I32, RAY_TYPES, Scene
+from .tiles import TILES
+from .units import Units, units_of
 
-REFINED = 1e-3  # share of all instances
+ATTEMPTS = 3  # at a certificate, each with twice the paths of the one before
 
 
 def analyze(
@@ -62,48 +67,77 @@ def by_counts(loop: Loop, min_share: float) -> CullingResult:
 
 
 def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> CullingResult:
-    """Cull what saves most while the picture changes by no more than the budget; the score is the share of the picture that an instance is worth.
+    """Cull what saves most while the picture surely changes by no more than the budget; the score is the share of the picture that an instance is worth.
 
     What each instance is worth alone does not say what many are worth together, nor what lies behind them: `calibration` traces without them and finds out.
-    More paths tell more exactly what can go: they are measured where what stays is more than REFINED of the scene, for else little is left to win.
+    The sets that it finds are then judged by paths that chose none of them. Where even the smallest of them may break the budget, these paths have met what the
+    others did not: all is measured again, by twice as many. In the end what is not certified stays.
 
     Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that uses up the budget or all but a factor of
     options.hysteresis; else what it kept goes only where others would save so many times less for the same change.
     """
-    little = REFINED * np.count_nonzero(loop.exists)
-    measured = loop.measured = loop.measured or loop.measure()
-    chosen, unseen, paths = _searched(loop, measured, budget, part(progress, 0.0, 0.4))
-    if measured.log.luminance.shape[2] < loop.samples and np.count_nonzero(~chosen.cull) > little:
-        measured = loop.measured = loop.measure_on(measured, part(progress, 0.4, 0.7))
-        chosen, unseen, more = _searched(loop, measured, budget, part(progress, 0.7, 1.0))
-        paths += more
-    loop.thorough = bool(np.count_nonzero(~chosen.cull) > little)
+    measured = loop.measured or loop.measure()
+    samples, attempts = max(loop.samples - loop.first_samples, 1), 1 if loop.limited else ATTEMPTS
+    for attempt in range(attempts):
+        within = part(progress, attempt / attempts, (attempt + 1) / attempts)
+        loop.measured, ids = measured, measured.tlas.ids
+        units, steps, searched = _searched(loop, measured, budget, part(within, 0.0, 0.5))
+
+        def keep_of(cull: np.ndarray, units: Units = units, ids: I32 = ids) -> np.ndarray:
+            return _kept(loop, units, cull, ids)
+
+        loop.include(keep_of(steps[0].cull))
+        verdict = Certificate(loop, measured.samples, samples, budget).walk(refined(steps, units), units, keep_of, part(within, 0.5, 0.9))
+        if verdict.cull is not None or attempt == attempts - 1:
+            break
+        measured, samples = loop.measure_more(measured, part(within, 0.9, 1.0)), measured.samples
+    return _decided(loop, measured, units, steps, verdict, searched)
+
+
+def _decided(loop: Loop, measured: Measurement, units: Units, steps: list[Choice], verdict: Verdict, searched: int) -> CullingResult:
+    """States and figures by what is certified; where nothing is, everything stays that fits into memory, and that is said. searched: paths of the search."""
+    warnings = []
+    cull, keep, estimate, unknown = verdict.cull, verdict.keep, verdict.estimate, verdict.unknown
+    if cull is None:
+        cull = steps[0].cull
+        if loop.limited:
+            warnings.append(
+                f"not within the error budget: what is left out for want of bytes or milliseconds, or was not looked at, may change the picture by "
+                f"{100 * estimate.upper_mean(verdict.confidence):.2g} % in the mean, {100 * estimate.upper_worst(verdict.confidence):.2g} % in the worst tile"
+            )
+        else:
+            keep, estimate, unknown = loop.exists.copy(), NOTHING, np.zeros(TILES)
+            warnings.append("the error budget could not be certified: everything is kept")
     ids, worth = measured.tlas.ids, measured.weights.relative()
-    keep = loop.pinned.copy()
-    keep[ids[~chosen.cull]] = True
     score = np.zeros(len(loop.active), np.float32)
     score[ids] = worth.mean(axis=1)
-    predicted = worth[chosen.cull].sum(axis=0)
+    predicted = units.worth[cull].sum(axis=0)
+    chosen = max((step for step in steps if not (step.cull & ~cull).any()), key=lambda step: step.cull.sum(), default=steps[0])
     error = {
-        "predicted_mean": float(predicted.mean()) + unseen,
-        "predicted_worst": float(predicted.max()),
-        "calibrated_mean": chosen.trial.mean,
-        "calibrated_worst": chosen.trial.worst,
-        "calibration_paths": paths,
+        "predicted_mean": float(predicted.mean()),
+        "predicted_worst": float(predicted.max(initial=0.0)),
+        "calibrated_mean": chosen.estimate.mean,
+        "calibrated_worst": chosen.estimate.worst,
+        "calibration_paths": searched,
+        "certified_mean": estimate.upper_mean(verdict.confidence),
+        "certified_worst": estimate.upper_worst(verdict.confidence),
+        "confidence": CONFIDENCE,
+        "unknown_mean": float(unknown.mean()),
+        "unknown_worst": float(unknown.max(initial=0.0)),
+        "certificate_paths": verdict.paths,
     }
-    return loop.result(keep, score, measured.feedback.hits, **error)
+    return loop.result(keep, score, measured.feedback.hits, tuple(warnings), **error)
 
 
-def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progress) -> tuple[Choice, float, int]:
-    """What a search among the measured instances chose, the change that is owed to what no path met, and how many paths were traced."""
+def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progress) -> tuple[Units, list[Choice], int]:
+    """Units of what was measured and of what was not met, sets of them that keep to the budget by the paths of the measurement, and how many were traced."""
     start = time.perf_counter()
     ids = measured.tlas.ids
     reluctance = np.where(loop.kept[ids], loop.options.hysteresis, 1.0)
     savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.counted_bytes, reluctance)
-    unseen = unseen_share(measured.met, measured.feedback.paths)
-    known = any(hits.lamps_known for hits in loop.scene.first_hits.values())
-    base = Base(measured.log, measured.weights.total.astype(np.float64) * measured.weights.unit if known else None)
-    log, trial = measured.log.copy(), PathLog.zeros(*measured.log.luminance.shape)
+    units = units_of(loop.regions, ids, measured.log.paths_met(len(ids)), measured.weights.relative(), loop.pinned)
+    reference = Reference(measured.log, _light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64)))
+    log, trial = measured.log.copy(), PathLog.zeros(*measured.log.shape)
     loop.timer.add("feedback_s", start)
 
     def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
@@ -112,7 +146,31 @@ def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
         loop.trace_without(measured.tlas, measured.first_sample, keep, only, trial)
         return trial
 
-    before = None if loop.known is None else loop.known[ids] & ~loop.kept[ids]
-    worth = np.where(loop.pinned[ids, None], np.inf, measured.weights.relative())
-    search = Search(base, log, without, worth, savings, budget, unseen, before, loop.options.hysteresis)
-    return search.run(progress), search.unseen, search.traced
+    search = Search(reference, log, without, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
+    steps = search.run(progress)
+    return units, steps, search.traced
+
+
+def _kept(loop: Loop, units: Units, cull: np.ndarray, ids: I32) -> np.ndarray:
+    """(N,) bool, the instances that stay where the units of cull, (U,) bool, do not. ids: of the TLAS entries."""
+    keep = np.zeros(len(loop.active), bool)
+    keep[units.unmet_kept(cull, loop.regions)] = True
+    keep[ids] = ~units.entries(cull)
+    return np.asarray(keep | loop.pinned)
+
+
+def _culled_before(loop: Loop, units: Units, ids: I32) -> np.ndarray | None:
+    """(U,) bool, units of which the last frame kept nothing; None where it measured nothing."""
+    if loop.known is None:
+        return None
+    before = np.ones(len(units), bool)
+    before[units.of_entry[~loop.known[ids] | loop.kept[ids]]] = False
+    places = loop.regions.place[np.setdiff1d(np.flatnonzero(loop.kept), ids)]
+    pools = units.pool_of[places[places >= 0] // FANOUT]
+    before[units.with_entries + pools] = False
+    return before
+
+
+def _light(loop: Loop, total: F64) -> F64 | None:
+    """Luminance of all paths of each tile, where logs leave some of it out."""
+    return total if any(hits.lamps_known for hits in loop.scene.first_hits.values()) else None

@@ -103,14 +103,6 @@ def select(weights: F64, saved: F64, mean_bound: float, tile_bounds: F64 | float
     Greedy for a knapsack of two kinds of bound (Dantzig 1957 for one): within one instance's worth of the best.
     """
     order = np.argsort(weights.sum(axis=1) / saved, kind="stable")
-    bounds = np.ascontiguousarray(np.broadcast_to(np.asarray(tile_bounds, np.float64), weights.shape[1]))
+    bounds = np.array(np.broadcast_to(tile_bounds, weights.shape[1]), np.float64)  # a writable one: the kernel has one variant
     cull, sums = _greedy(order, weights, max(mean_bound, 0.0), bounds)
     return Selection(cull, float(sums.mean()), float(sums.max(initial=0.0)))
-
-
-def unseen_share(hits: I64, paths: int) -> float:
-    """Share of all paths that meet something which none of the traced ones met: expected from how much was met just once (Good 1953, Turing's estimate).
-
-    hits: (N,) int64 rays that met each instance; paths: how many were traced. A path that meets such an instance is taken to be wholly wrong.
-    """
-    return float((hits == 1).sum()) / max(paths, 1)

@@ -1,11 +1,14 @@
-"""Which of the measured instances to cull: sets are tried, by tracing what they change with the same random numbers, until a budget is used up.
+"""Which of the measured units to cull: sets are tried, by tracing what they change with the same random numbers, until a budget is used up.
 
-Weights say what each instance is worth by itself, at most. What many are worth together, and what lies behind them, is known when the scene has been traced
-without them. Of all paths only those can differ that met something culled (`path_log`), so a trial costs a small part of the measurement.
+Weights say what each unit is worth by itself, at most. What many are worth together, and what lies behind them, is known when the scene has been traced without
+them. Of all paths only those can differ that met something culled (`path_log`), so a trial costs a small part of the measurement.
+
+A search finds a sequence of sets, each larger than the one before. How far down that sequence the budget holds is for other paths to say: `certificate`.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,134 +16,76 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .budget import Budget, Savings, select
-from .path_log import RECORD, PathLog, put_down
+from .error_estimate import NOTHING, Difference, ErrorEstimate, Light, Reference
+from .path_log import PathLog
 from .progress import Progress, silent
-from .scene import F32, F64, I32
-from .tiles import DARK, TILES, tiles_of
+from .scene import F64
+from .units import Units
 
 TRIALS = 64  # at most
 PATIENCE = 5  # trials in a row that break the budget, after which none is expected to keep it
 WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
-CONFIDENCE = 3.5  # standard deviations of its measurement that are added to the change of a tile, the worst of many in the best of many trials
+DEVIATIONS = 2.0  # standard deviations of its measurement that are added to what a unit of a failed trial is worth, and to what a tile has used up
+LIKELY = 0.8  # confidence that sets of a search keep to the budget, by its own paths
+SHARE = 0.5  # of what is left of the budget: what a set may add to the one before, so that the sequence has small steps where the budget ends
+PIECES = 4  # that a step of a sequence is judged in
 AIM = 0.95  # of the budget: what selections are to use up. The rest of it is always taken to be left, for what they are worth is but predicted
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement
+UNMET = (0.1, 0.3)  # of the budget: what may be owed to units that no path met, at the first sets of a sequence
 
-
-@dataclass(frozen=True)
-class Trial:
-    """The change of the picture by culling some entries, relative to the luminance of each of T coarse tiles.
-
-    change: (T,) float64, signed. deviation: (T,) float64, its standard deviation, from the differences of single paths. confidence: so many of these are added.
-    """
-
-    change: F64
-    deviation: F64
-    confidence: float
-
-    @property
-    def mean(self) -> float:
-        """Mean relative change of the tiles."""
-        return float(np.abs(self.change).mean())
-
-    @property
-    def worst(self) -> float:
-        """The largest `bound` of a tile."""
-        return float(self.bound.max())
-
-    @property
-    def bound(self) -> F64:
-        """(T,) relative change of each tile, with what its measurement may be wrong by on top."""
-        return np.abs(self.change) + self.confidence * self.deviation
-
-
-class Base:
-    """The measured picture by tiles and paths."""
-
-    def __init__(self, log: PathLog, light: F64 | None = None, confidence: float = CONFIDENCE) -> None:
-        """light: (TILES,) luminance of all paths of each tile, where the log leaves some of it out. confidence: of what is compared, see `Trial`."""
-        height, width, samples = log.luminance.shape
-        self.luminance, self.confidence = log.luminance.copy(), confidence
-        self.tile: I32 = np.repeat(tiles_of(height, width).ravel(), samples).astype(np.int32)
-        sums = np.bincount(self.tile, log.luminance.ravel(), TILES) if light is None else light
-        counts = np.maximum(np.bincount(self.tile, minlength=TILES), 1)
-        means = sums / counts
-        self.light = counts * np.maximum(means, max(DARK * means.mean(), 1e-30))
-
-    def nothing(self) -> Trial:
-        """Where nothing is culled."""
-        return Trial(np.zeros(TILES), np.zeros(TILES), self.confidence)
-
-    def compare(self, only: np.ndarray, luminance: F32, before: PathLog, already: Trial) -> Trial:
-        """The change by culling some entries, where others are perhaps culled already.
-
-        before, already: the log, and the trial, without those others; only: `PathLog.affected` of that log by those that are new; luminance: (H, W, S) float32
-        of the paths marked there, traced without any of them.
-        """
-        paths = np.flatnonzero(only.reshape(-1))
-        tile = self.tile[paths]
-        measured, light = self.luminance.reshape(-1)[paths].astype(np.float64), self.light[tile]
-        then, now = ((x.reshape(-1)[paths] - measured) / light for x in (before.luminance, luminance))
-        change = already.change + np.bincount(tile, now - then, TILES)
-        squares = already.deviation**2 + np.bincount(tile, now**2 - then**2, TILES)
-        return Trial(change, np.sqrt(np.maximum(squares, 0.0)), self.confidence)
-
-    def bound_by_entry(self, culled: np.ndarray, only: np.ndarray, luminance: F32, before: PathLog) -> F64:
-        """The bound of what each of the culled entries, (A,) bool with C of them, changed alone: (C, T) float64, by the paths that met it before any other of
-        them. The rest as in `compare`.
-        """
-        paths = np.flatnonzero(only.reshape(-1))
-        row = np.where(culled, np.cumsum(culled) - 1, -1)
-        change, squares = np.zeros((2, int(culled.sum()), TILES))
-        step = (luminance.reshape(-1)[paths].astype(np.float64) - before.luminance.reshape(-1)[paths]) / self.light[self.tile[paths]]
-        put_down(before.records.reshape(-1, RECORD), paths, row, self.tile[paths], step, change, squares)
-        return np.abs(change) + self.confidence * np.sqrt(squares)
+Without = Callable[[np.ndarray, NDArray[np.uint8]], PathLog]
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A set that was tried, (A,) bool, and what was measured."""
+    """A set that was tried, (U,) bool, and what was measured: what paths differ by, and the error by that."""
 
     cull: np.ndarray
-    trial: Trial
+    difference: Difference
+    estimate: ErrorEstimate
 
 
 class Search:
-    """The search for the set of entries that saves most within a budget."""
+    """The search for the sets of units that save most within a budget."""
 
     def __init__(
         self,
-        base: Base,
+        reference: Reference,
         log: PathLog,
-        without: Callable[[np.ndarray, NDArray[np.uint8]], PathLog],
-        worth: F64,
+        without: Without,
+        units: Units,
         savings: Savings,
         budget: Budget,
-        unseen: float = 0.0,
         before: np.ndarray | None = None,
         hysteresis: float = 1.0,
         paths: float = PATHS,
+        confidence: float = LIKELY,
     ) -> None:
-        """log: of the base; becomes that of what is chosen. without: log of the paths (H, W, S) that its second argument marks, without the entries that its
+        """log: of the reference; becomes that of the last set. without: log of the paths (H, W, S) that its second argument marks, without the entries that its
         first, (A,) bool, culls; valid there, and until it is called again.
 
-        worth: (A, T) relative change of each tile that culling an entry is expected to make, infinite for what must stay. unseen: change already owed to what
-        no path met. before: (A,) bool, what was culled in the last frame: where that keeps to the budget no less is culled, and no more either where it uses
-        up all but a factor of hysteresis. paths: traced by all trials together at most, to those of the log.
+        before: (U,) bool, what was culled in the last frame: where that keeps to the budget no less is culled, and no more either where it uses up all but a
+        factor of hysteresis. paths: traced by all trials together at most, to those of the log. confidence: of each set by these paths.
         """
-        self.base, self.log, self.without, self.worth, self.savings, self.budget = base, log, without, worth.copy(), savings, budget
-        self.unseen = min(unseen, 0.5 * budget.mean)
-        self.before, self.hysteresis = before, hysteresis
-        self.allowed = int(paths * log.luminance.size)
+        self.reference, self.log, self.without, self.units, self.savings, self.budget = reference, log, without, units, savings, budget
+        self.worth: F64 = units.worth.copy()
+        self.light = Light.of(reference)
+        self.before, self.hysteresis, self.confidence = before, hysteresis, confidence
+        self.allowed = int(paths * np.prod(log.shape))
         self.traced = 0
 
-    def run(self, progress: Progress = silent) -> Choice:
-        """The largest set found. Beginning with what no path meets, more and more is culled: what is predicted to fit the rest of the budget."""
-        (best, again), share, failed = self._first(), 1.0, 0
-        if again and self.hysteresis * self._excess(best) >= 1:
-            return best
-        tried = {best.cull.tobytes()}
+    def run(self, progress: Progress = silent) -> list[Choice]:
+        """The sets found, each a part of the next. Beginning with what no path meets, more and more is culled: what is predicted to fit the rest of the
+        budget.
+        """
+        steps, again = self._first()
+        share, failed = SHARE, 0
+        if again and self.hysteresis * steps[-1].estimate.excess(self.budget, self.confidence) >= 1:
+            return steps
+        tried = {step.cull.tobytes() for step in steps}
         for k in range(TRIALS):
-            progress(k / TRIALS, f"{len(self.worth) - best.cull.sum():,} instances stay")
+            best = steps[-1]
+            progress(k / TRIALS, f"{self._staying(best):,} instances stay")
             more = None if failed >= PATIENCE or best.cull.all() else self._more(best, share, tried)
             if more is None:
                 break
@@ -149,60 +94,89 @@ class Search:
             if choice is None:
                 share, failed = share / 2, failed + 1
             else:
-                best, share, failed = choice, min(2 * share, 1.0), 0
-        return best
+                steps.append(choice)
+                share, failed = min(2 * share, SHARE), 0
+        return steps
 
-    def _first(self) -> tuple[Choice, bool]:
-        """What was culled in the last frame, and what is worth nothing, which no path met; that alone where the whole breaks the budget, or nothing at all.
+    def _staying(self, choice: Choice) -> int:
+        """How many of the instances that paths met stay."""
+        n = self.units.with_entries
+        return int(self.units.members[:n][~choice.cull[:n]].sum())
+
+    def _first(self) -> tuple[list[Choice], bool]:
+        """Sets to begin with: what was culled in the last frame, where that keeps to the budget; else units that no path met, the cheapest first.
 
         Whether it is the first of these.
         """
-        nothing, unmet = Choice(np.zeros(len(self.worth), bool), self.base.nothing()), self.worth.sum(axis=1) == 0
+        nothing = Choice(np.zeros(len(self.units), bool), self.reference.nothing, NOTHING)
         if self.before is not None:
-            choice = self._try((self.before | unmet) & np.isfinite(self.worth).all(axis=1), nothing)
+            choice = self._try(self.before & np.isfinite(self.worth).all(axis=1), nothing)
             if choice is not None:
-                return choice, True
-        return self._try(unmet, nothing) or nothing, False
+                return [choice], True
+        n, steps = self.units.with_entries, [nothing]
+        saved = self.units.saved(self.savings, ~nothing.cull)
+        free = np.isfinite(self.worth[:n]).all(axis=1) & (self.worth[:n].sum(axis=1) == 0)  # met, though carrying no light
+        for share in UNMET:
+            cull = nothing.cull.copy()
+            cull[n:] = select(self.worth[n:], saved[n:], share * self.budget.mean, share * self.budget.worst).cull
+            cull[:n] = free
+            choice = self._try(cull | steps[-1].cull, steps[-1])
+            if choice is not None and (choice.cull != steps[-1].cull).any():
+                steps.append(choice)
+        return steps, False
 
     def _more(self, best: Choice, share: float, tried: set[bytes]) -> np.ndarray | None:
-        """A larger set to cull, (A,) bool, within a share of what one leaves of the budget; None where nothing is left to try."""
+        """A larger set to cull, (U,) bool, within a share of what one leaves of the budget; None where nothing is left to try."""
         stay = ~best.cull
-        savings = self.savings.among_these(stay).share
-        mean = share * max(AIM * self.budget.mean - max(self._mean(best), self.unseen), (1 - AIM) * self.budget.mean)
-        tiles = share * np.maximum(AIM * self.budget.worst - best.trial.bound, (1 - AIM) * self.budget.worst)
+        saved = self.units.saved(self.savings, stay)[stay]
+        estimate = best.estimate
+        used = estimate.tiles + DEVIATIONS * estimate.deviation
+        mean = share * max(AIM * self.budget.mean - estimate.mean, (1 - AIM) * self.budget.mean)
+        tiles = share * np.maximum(AIM * self.budget.worst - used, (1 - AIM) * self.budget.worst)
         for _ in range(WIDENINGS):
             cull = best.cull.copy()
-            cull[stay] = select(self.worth[stay], savings, mean, tiles).cull
+            cull[stay] = select(self.worth[stay], saved, mean, tiles).cull
             if cull.tobytes() not in tried:  # nor is the set itself
                 return cull
             mean, tiles = WIDER * mean, WIDER * tiles
         return None
 
     def _try(self, cull: np.ndarray, already: Choice) -> Choice | None:
-        """Trace without cull, (A,) bool; None where that breaks the budget, or would take more paths than are left.
+        """Trace without cull, (U,) bool; None where that breaks the budget, or would take more paths than are left.
 
         already: a part of it, whose log there is: only paths that met what else is culled can differ from that. What breaks the budget is measured all the
         same, and known better than it was predicted.
         """
         new = cull & ~already.cull
-        only = self.log.affected(new)
+        only = self.log.affected(self.units.entries(new))
         paths = int(np.count_nonzero(only))
         if self.traced + paths > self.allowed:
             return None
         self.traced += paths
-        after = self.without(cull, only) if paths else self.log
-        choice = Choice(cull, self.base.compare(only, after.luminance, self.log, already.trial))
-        if self._excess(choice) <= 1:
+        after = self.without(self.units.entries(cull), only) if paths else self.log
+        difference = self.reference.compare(only, after.color, self.log, already.difference)
+        choice = Choice(cull, difference, self.light.estimate(difference, self.units.owed(cull)))
+        if choice.estimate.excess(self.budget, self.confidence) <= 1:
             self.log.update(only, after)
             return choice
-        self.worth[new] = self.base.bound_by_entry(new, only, after.luminance, self.log)
+        new[self.units.with_entries :] = False
+        self.worth[new] = self.reference.sizes_by_unit(self.units.of_entry, new, only, after.color, self.log, DEVIATIONS)
         return None
 
-    def _mean(self, choice: Choice) -> float:
-        """The mean change, with what is owed to instances that no path met."""
-        return choice.trial.mean + (self.unseen if choice.trial.mean else 0.0)
 
-    def _excess(self, choice: Choice) -> float:
-        """The change over what the budget allows, of the bound that is nearer to being broken."""
-        changes = ((self._mean(choice), self.budget.mean), (choice.trial.worst, self.budget.worst))
-        return max(change / max(bound, 1e-30) if change else 0.0 for change, bound in changes)
+def refined(steps: list[Choice], units: Units) -> list[np.ndarray]:
+    """Sets of units, (U,) bool, of a sequence, and between each two of them sets that add a PIECES-th of what lies between, the least worth first."""
+    out = [steps[0].cull]
+    for before, step in itertools.pairwise(steps):
+        new = np.flatnonzero(step.cull & ~before.cull)
+        new = new[np.argsort(units.worth[new].sum(axis=1) / np.maximum(units.members[new], 1), kind="stable")]
+        upto = np.cumsum(units.worth[new].sum(axis=1))
+        for piece in range(1, PIECES):
+            added = new[upto <= upto[-1] * piece / PIECES] if len(new) else new
+            cull = before.cull.copy()
+            cull[added] = True
+            if (cull != out[-1]).any():
+                out.append(cull)
+        if (step.cull != out[-1]).any():
+            out.append(step.cull)
+    return out

@@ -78,25 +78,27 @@ class CullOptions:
         return max(width // 2, 1), max(height // 2, 1)
 
     def paths_per_pixel(self, film: Film) -> int:
-        """Paths per pixel of a measurement."""
-        if self.paths or self.min_share is not None or self.policy != "light-paths":
+        """Paths per pixel of a measurement, and of the certificate of what is chosen by it."""
+        if self.by_counts:
             return self.paths or COUNTED_PATHS
+        if self.paths:
+            return max(self.paths, 2)
         width, height = self.picture_size(film)
-        return int(np.clip(np.ceil(TILE_PATHS * TILES / (max(self.max_error.worst, 1e-3) * width * height)), 1, MOST_PATHS))
+        return int(np.clip(np.ceil(TILE_PATHS * TILES / (max(self.max_error.worst, 1e-3) * width * height)), 2, MOST_PATHS))
 
     def first_paths_per_pixel(self, film: Film) -> int:
-        """Paths per pixel of a first measurement, which may be enough: half of all, unless so many were asked for."""
+        """Paths per pixel of a first measurement: half of all, for the others judge what is chosen by these; by counts all."""
         samples = self.paths_per_pixel(film)
-        return samples if self._all_at_once else -(-samples // 2)
+        return samples if self.by_counts else -(-samples // 2)
 
     def round_paths_per_pixel(self, film: Film) -> int:
         """Paths per pixel of a round at full size that comes before: half of a first measurement's."""
-        samples = self.paths_per_pixel(film)
-        return max(1, samples // (2 if self._all_at_once else 4))
+        return max(1, self.first_paths_per_pixel(film) // 2)
 
     @property
-    def _all_at_once(self) -> bool:
-        return bool(self.paths) or self.min_share is not None
+    def by_counts(self) -> bool:
+        """Whether no budget is kept."""
+        return self.min_share is not None or self.policy != "light-paths"
 
     def __post_init__(self) -> None:
         if self.policy not in POLICIES:

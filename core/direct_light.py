@@ -14,7 +14,7 @@ from .lamps import FAR, LAMP, lamp_hit, lamp_share
 from .lights import INSTANCE, L_HEIGHT, L_IMAGE, L_LAMPS, L_MESHES, L_WIDTH, L_WORLD_VISIBILITY, NONE, WORLD, lamp_density, sample_light
 from .lobes import BACKFACING, C_EMISSION, F_N, O_PDF
 from .memory import f32_pointer, load_u8, load_u32
-from .path_feedback import add_light, add_worth, count_hit, log_entry, luminance_of
+from .path_feedback import add_light, add_worth, count_hit, credit_unbuilt, log_entry, luminance_of
 from .path_rays import count_boxes, entry_of, intersect, set_ray
 from .path_state import (
     BOTH,
@@ -81,6 +81,7 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
     hits_left = max(s.settings[I_TRANSPARENT] - transparent_bounce, 0)
     watched = s.feedback != np.uint64(0)
     weighed = s.weights != np.uint64(0) and not known
+    doubtful = False  # a box lies on the way
     if not watched and s.settings[I_TRANSPARENT_SHADOWS] == 0:
         set_ray(w.shadow, w.shadow_words, ox, oy, oz, dx, dy, dz, far, _SHADOW)
         w.stats[RAYS] += 1
@@ -95,8 +96,11 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
         hit = intersect(s.tlas, w.shadow_words)
         t = w.shadow[TFAR] if hit else far
         if count:
-            count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.shadow_words, t, _SHADOW, s.settings[I_HITBOX_NEAREST])
+            crossed = count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.shadow_words, t, _SHADOW, s.settings[I_HITBOX_NEAREST])
+            doubtful = doubtful or (crossed > 0 and weighed)
         if not hit:
+            if doubtful:
+                credit_unbuilt(s, w, luminance_of(w.radiance[0], w.radiance[1], w.radiance[2]))
             return True
         entry = entry_of(s, w.shadow_words)
         instance = np.int64(s.ids[entry])
@@ -131,6 +135,8 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
         step = ((ex - ox) * dx + (ey - oy) * dy + (ez - oz) * dz) / (dx * dx + dy * dy + dz * dz)
         far -= max(step, t)
         if not far > _ZERO:
+            if doubtful:
+                credit_unbuilt(s, w, luminance_of(w.radiance[0], w.radiance[1], w.radiance[2]))
             return True
         ox, oy, oz = ex, ey, ez
 
@@ -241,10 +247,15 @@ def add_direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, tra
         w.total[PARTS_AT + SAMPLED_BLOCKED] += unshadowed - arriving
     if instance >= 0 and s.feedback != np.uint64(0):
         count_hit(s, instance, _SHADOW)
-        if (s.weights != np.uint64(0) or s.log != np.uint64(0)) and s.entries[instance] >= 0:
-            log_entry(s, w, np.int64(s.entries[instance]))
-            if s.weights != np.uint64(0):
-                add_worth(s, w, np.int64(s.entries[instance]), luminance_of(w.radiance[0], w.radiance[1], w.radiance[2]))
+        if s.weights != np.uint64(0) or s.log != np.uint64(0):
+            entry = np.int64(s.entries[instance])
+            arriving = luminance_of(w.radiance[0], w.radiance[1], w.radiance[2])
+            if entry < 0:
+                credit_unbuilt(s, w, arriving)
+            else:
+                log_entry(s, w, entry)
+                if s.weights != np.uint64(0):
+                    add_worth(s, w, entry, arriving)
     add_light(s, w, w.radiance[0], w.radiance[1], w.radiance[2], bounce, part)
 
 

@@ -34,19 +34,21 @@ class Weights:
 
     light: (A, T) int64, luminance that paths gathered behind entry a in tile t, or at least what they carried times the mean luminance, since something that
     bright may stand behind it; and what its blocking denied to shadow rays. total: (T,) int64, luminance of all paths of a tile. Tiles in rows from the bottom.
-    ambient: mean luminance of the picture. unit: luminance of one unit.
+    ambient: mean luminance of the picture. unit: luminance of one unit. first: the TLAS entry that row 0 is for; those before it are not weighed. The number
+    behind the last entry of a TLAS, where there is a row for it, stands for the boxes of all that is not built.
     """
 
     light: I64
     total: I64
     ambient: float
     unit: float
+    first: int = 0
 
     @staticmethod
-    def zeros(entries: int, ambient: float) -> Weights:
-        """Nothing gathered yet, for a TLAS of that many entries; ambient: mean luminance expected."""
+    def zeros(entries: int, ambient: float, first: int = 0) -> Weights:
+        """Nothing gathered yet, for so many TLAS entries from the first on; ambient: mean luminance expected."""
         ambient = max(ambient, 1e-30)
-        return Weights(np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED)
+        return Weights(np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED, first)
 
     def joined(self, more: Weights) -> Weights:
         """With what more paths gathered, in the same unit."""

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .budget import Budget
-from .calibration import Base
 from .culling import CullOptions
+from .error_estimate import ErrorEstimate, Light, Reference
 from .feedback import Weights
 from .loop import Loop
 from .metrics import linear_error
@@ -28,45 +26,6 @@ from .tiles import DARK, tile_means
 SEED = 0x6A7564  # of the judge; an analysis has another one
 TIMED = 4  # paths per pixel that a set is timed with
 TWO_SIDED_95 = 1.96  # standard deviations of a normal distribution
-
-
-@dataclass(frozen=True)
-class Change:
-    """Relative change of a picture, as `budget` defines it.
-
-    tiles: (T,) float64 signed relative change of every coarse tile. half: (T,) half of the 95 % confidence interval of each.
-    """
-
-    tiles: F64
-    half: F64
-
-    @property
-    def mean(self) -> float:
-        """Over the tiles, without their signs."""
-        return float(np.abs(self.tiles).mean())
-
-    @property
-    def mean_ci(self) -> float:
-        """Half a 95 % confidence interval of the mean."""
-        return float(np.sqrt((self.half**2).sum()) / len(self.half))
-
-    @property
-    def worst(self) -> float:
-        """Of the worst tile."""
-        return float(np.abs(self.tiles).max())
-
-    @property
-    def worst_ci(self) -> float:
-        """Half a 95 % confidence interval of the worst tile."""
-        return float(self.half[np.abs(self.tiles).argmax()])
-
-    def holds(self, budget: Budget) -> bool:
-        """Whether both bounds are kept."""
-        return self.mean <= budget.mean and self.worst <= budget.worst
-
-    def surely_holds(self, budget: Budget) -> bool:
-        """Whether the upper ends of the confidence intervals, that of every tile, are within both bounds."""
-        return self.mean + self.mean_ci <= budget.mean and float((np.abs(self.tiles) + self.half).max()) <= budget.worst
 
 
 def picture_change(full: F32, other: F32) -> tuple[float, float]:
@@ -96,18 +55,18 @@ class Judge:
         self.log = PathLog.zeros(scene.film.height, scene.film.width, samples)
         self.full = self.loop.trace(self.tlas, samples, progress=part(progress, 0.0, 0.5, "full picture, "), log=self.log)[1]
         self.second_seed = self.loop.trace(self.tlas, samples, progress=part(progress, 0.5, 1.0, "with another seed, "))[1]
-        self.base = Base(self.log, confidence=TWO_SIDED_95)
+        self.reference = Reference(self.log)
+        self.light = Light.of(self.reference)
 
     def _affected(self, keep: np.ndarray) -> NDArray[np.uint8]:
         """Which paths of the full picture what keep (N,) bool leaves out matters to."""
         return self.log.affected(~keep[self.tlas.ids])
 
-    def change(self, keep: np.ndarray) -> Change:
+    def change(self, keep: np.ndarray) -> ErrorEstimate:
         """Change by culling to keep (N,) bool."""
         only = self._affected(keep)
-        _, luminance = self.loop.trace_paths(keep, self.first_sample, only)
-        trial = self.base.compare(only, luminance, self.log, self.base.nothing())
-        return Change(trial.change, trial.confidence * trial.deviation)
+        _, color = self.loop.trace_paths(keep, self.first_sample, only)
+        return self.light.estimate(self.reference.compare(only, color, self.log, self.reference.nothing))
 
     def picture(self, keep: np.ndarray) -> F32:
         """The picture with only keep (N,) bool in the scene, (H, W, 4) float32: the full one, with what has changed in it exchanged."""
@@ -122,7 +81,8 @@ class Judge:
         start = time.perf_counter()
         self.loop.trace_again(keep, self.first_sample, TIMED)
         cost["trace_s"] = time.perf_counter() - start
-        error = {"mean": change.mean, "mean_ci": change.mean_ci, "worst": change.worst, "worst_ci": change.worst_ci}
+        half = TWO_SIDED_95 * change.mean_deviation, TWO_SIDED_95 * change.worst_deviation
+        error = {"mean": change.mean, "mean_ci": half[0], "worst": change.worst, "worst_ci": half[1]}
         return cost | error | linear_error(self.full, culled), culled
 
     def noise_floor(self) -> dict[str, float]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .blas import BlasCache, Work
 from .boxes import existing
+from .budget import Budget
 from .change import Change
 from .culling import CullOptions, State
 from .embree import Device, shared_device
@@ -26,8 +27,8 @@ from .film import LUMINANCE, Picture
 from .hitboxes import Hitboxes
 from .path_log import RECORD, PathLog, renumber
 from .progress import Progress, part, silent
-from .regions import Cut, Regions
-from .scene import F32, I32, I64, U8, RayType, Scene
+from .regions import FANOUT, Cut, Regions
+from .scene import F32, F64, I32, I64, U8, RayType, Scene
 from .tlas import Tlas
 from .tracer import Prepared, advanced, prepare, trace
 from .twins import Twins
@@ -37,6 +38,8 @@ COLD_HITS = 7  # segments of one round that must cross a box before it is opened
 SETTLED = 0.02  # segments per path that still ask for a box when coarse rounds end
 UNKNOWN = 0.2  # segments per path that ask for a box where coarse rounds are worth while
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
+ROUNDS_FROM = 1 << 20  # number of the first sample of rounds: what they choose is judged by others
+OPENINGS = 16  # of a witness at most, each a level or two deeper
 GROWTH = 1.05  # per round, of what an instance is worth that waits for its BLAS
 LARGE = 0.05  # of the picture's width: what comes into view this large is activated before it is asked for
 
@@ -47,6 +50,7 @@ class CullingResult:
 
     state: (N,) uint8 of `State`; score: (N,) float32 share of paths that met the instance; hits: (N, RAY_TYPES) int64 paths that met it, by type.
     boxes: (H, 2, 3) float32 world boxes that stand in for what is culled. stats: the frame's figures, named as in report.json.
+    warnings: what could not be kept to.
     """
 
     state: U8
@@ -54,6 +58,7 @@ class CullingResult:
     hits: I64
     boxes: F32
     stats: dict[str, float | int]
+    warnings: tuple[str, ...] = ()
 
     @property
     def active(self) -> np.ndarray:
@@ -83,6 +88,11 @@ class Measurement:
     emissive: I64
 
     @property
+    def samples(self) -> int:
+        """Paths per pixel."""
+        return self.log.shape[2]
+
+    @property
     def met(self) -> I64:
         """(N,) int64: rays that met each instance. Only built ones and emitters can have been met."""
         hits = self.feedback.hits
@@ -91,11 +101,20 @@ class Measurement:
             out[rows] = hits[rows].sum(axis=1)
         return out
 
-    def joined(self, more: Measurement) -> Measurement:
-        """With more paths of the same candidates, whose samples follow on these."""
-        return dataclasses.replace(
-            self, feedback=self.feedback.joined(more.feedback), weights=self.weights.joined(more.weights), log=self.log.joined(more.log)
-        )
+
+@dataclass(frozen=True)
+class Witness:
+    """Paths that chose nothing, through the full scene as far as they need it: what each met, and the number of its first sample.
+
+    light: (T,) float64 luminance of all paths of each tile. unknown: (T,) float64, that of what they carry through boxes that were not opened: it may be
+    lost, or other light in its place.
+    """
+
+    tlas: Tlas
+    log: PathLog
+    first_sample: int
+    light: F64
+    unknown: F64
 
 
 class Loop:
@@ -121,7 +140,6 @@ class Loop:
         self.active, self.kept, self.value = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, np.float32)
         self.known: np.ndarray | None = None
         self.cold = True  # nothing is known yet of what paths need
-        self.thorough = False  # whether a measurement takes all paths at once, as the last frame needed them
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         self._shown = np.zeros(0, np.int32)  # large instances in view
         self._twins = Twins()
@@ -160,8 +178,9 @@ class Loop:
         self._asked: tuple[Cut, I64] | None = None  # boxes of the last round, and how often they were crossed
         self.size = self.options.picture_size(scene.film)
         self.samples = self.options.paths_per_pixel(scene.film)
-        self.first_samples = self.samples if self.thorough else self.options.first_paths_per_pixel(scene.film)
-        self.next_sample = self.samples  # a measurement has the first ones, in every frame the same: what did not change measures the same
+        self.first_samples = self.options.first_paths_per_pixel(scene.film)
+        self.next_sample = ROUNDS_FROM  # a measurement has the first ones, in every frame the same: what did not change measures the same
+        self._opened: list[np.ndarray] = []  # instances that are active for a witness alone
 
     def _pin(self, pinned: np.ndarray | None) -> None:
         self.pinned = np.zeros(len(self.active), bool) if pinned is None else pinned & self.exists
@@ -203,14 +222,14 @@ class Loop:
     def build(self, active: np.ndarray, progress: Progress = silent) -> Tlas:
         """The TLAS over active (N,) bool instances; within a budget over those whose BLAS is there, else their BLASes are built first."""
         start = time.perf_counter()
-        if not self._limited:
+        if not self.limited:
             self.blas.need(self.scene.instances.mesh[active], self._step(progress))
         tlas = Tlas(self.scene.instances, self.blas, active)
         self.timer.add("build_s", start)
         return tlas
 
     @property
-    def _limited(self) -> bool:
+    def limited(self) -> bool:
         return bool(self.options.blas_budget_ms or self.options.blas_budget_bytes)
 
     def _step(self, progress: Progress) -> Callable[[int, int], None]:
@@ -223,7 +242,7 @@ class Loop:
 
     def _provide(self, progress: Progress) -> None:
         """Within a budget: have the BLASes of active instances built, the most valuable first. A time budget is spent once per frame."""
-        if not self._limited or (self.options.blas_budget_ms and self.rounds > 1):
+        if not self.limited or (self.options.blas_budget_ms and self.rounds > 1):
             return
         start = time.perf_counter()
         rows = np.flatnonzero(self.active)
@@ -267,11 +286,12 @@ class Loop:
         progress: Progress,
         size: tuple[int, int],
         log: PathLog | None = None,
+        only: NDArray[np.uint8] | None = None,
     ) -> tuple[Feedback, F32]:
         """Feedback and mean picture of the samples from first_sample on."""
         start = time.perf_counter()
         feedback = Feedback.zeros(len(self.scene.instances), boxes, weights)
-        picture = self._trace(prepared, tlas, samples, first_sample, feedback, progress, size, log)
+        picture = self._trace(prepared, tlas, samples, first_sample, feedback, progress, size, log, only)
         self.paths += picture.paths
         self.rays += picture.rays
         feedback.paths = picture.paths
@@ -285,10 +305,52 @@ class Loop:
         """
         return self._measured(self.build(self.active, progress) if tlas is None else tlas, 0, self.first_samples, progress)
 
-    def measure_on(self, measured: Measurement, progress: Progress = silent) -> Measurement:
-        """A measurement, with the rest of the paths per pixel that the options ask for: what one of them all would be."""
-        done = measured.log.luminance.shape[2]
-        return measured.joined(self._measured(measured.tlas, done, self.samples - done, progress))
+    def measure_more(self, measured: Measurement, progress: Progress = silent) -> Measurement:
+        """A measurement of all that is active now, by twice the paths per pixel of another."""
+        return self._measured(self.build(self.active, progress), 0, 2 * measured.samples, progress)
+
+    def witness(self, first_sample: int, only: NDArray[np.uint8], tolerated: Budget, progress: Progress = silent) -> Witness:
+        """Trace those of S paths per pixel that only, (H, W, S), marks through the full scene, by random numbers that chose nothing.
+
+        Boxes that paths cross are opened, and these paths traced again, until what is carried through the others is tolerated; none is where builds are
+        limited.
+        """
+        log = PathLog.zeros(*only.shape)
+        records = log.records.reshape(-1, RECORD)
+        before: Tlas | None = None
+        light: I64 = np.zeros(0, np.int64)
+        for k in range(OPENINGS):
+            progress(1 - 0.6**k, "paths that chose nothing")
+            tlas = self.build(self.active)
+            if before is not None:
+                renumber(records, 1 - only.reshape(-1), _places(tlas.ids, before.ids))
+            start = time.perf_counter()
+            waiting = self._waiting() if self.limited else None
+            cut = self.regions.cut(np.flatnonzero(self.active) if waiting is None else tlas.ids, waiting)
+            boxes = Hitboxes(cut.bounds, self.device)
+            self.timer.add("build_s", start)
+            records[np.flatnonzero(only), 0] = 0
+            weights = Weights.zeros(1, self.ambient, first=len(tlas))
+            feedback, _ = self._counted(self.prepared, tlas, only.shape[2], first_sample, boxes, weights, silent, self.size, log, only)
+            light = light if k else weights.total
+            unknown = dataclasses.replace(weights, total=light).relative()[0]  # of tiles without paths 0
+            within = unknown.mean() <= tolerated.mean and unknown.max() <= tolerated.worst
+            if within or self.limited or not self._open(cut, feedback):
+                break
+            only, before = log.affected(np.zeros(len(tlas), bool)), tlas
+        return Witness(tlas, log, first_sample, np.asarray(light * weights.unit, np.float64), np.asarray(weights.light[0] * weights.unit, np.float64))
+
+    def _open(self, cut: Cut, feedback: Feedback) -> bool:
+        """Open every box of a cut that a path crossed, and activate emitters that lit one. Returns whether there was any."""
+        crossings = feedback.boxes.sum(axis=1)
+        asked = np.flatnonzero(crossings)
+        emissive = self.prepared.emissive
+        rows = np.concatenate([self.regions.order[cut.index[asked[cut.level[asked] == 0]]], emissive[feedback.hits[emissive].any(axis=1)]])
+        rows = rows[~self.active[rows]]
+        self._opened.append(rows)
+        self.active[rows] = True
+        self.regions.split_nodes(cut, asked, np.maximum(crossings[asked], FANOUT))
+        return bool(len(asked) or len(rows))
 
     def _measured(self, tlas: Tlas, first_sample: int, samples: int, progress: Progress) -> Measurement:
         built = np.zeros(len(self.active), bool)
@@ -313,15 +375,15 @@ class Loop:
     def trace_paths(self, keep: np.ndarray, first_sample: int, only: NDArray[np.uint8], progress: Progress = silent) -> tuple[F32, F32]:
         """Again the paths that only, (H, W, S) uint8, marks of a trace that began at first_sample, with only keep (N,) bool in the scene.
 
-        Returns their part of the mean picture, (H, W, 4) float32, and the luminance of each, (H, W, S) float32.
+        Returns their part of the mean picture, (H, W, 4) float32, and the light of each, (H, W, S, 3) float32.
         """
         tlas = self.build(keep)
         start = time.perf_counter()
-        log = PathLog(np.zeros((0, RECORD), np.int32), np.zeros(only.shape, np.float32))
+        log = PathLog(np.zeros((0, RECORD), np.int32), np.zeros((*only.shape, 3), np.float32))
         picture = self._trace(self._dark_but(keep), tlas, only.shape[2], first_sample, None, progress, self.size, log, only)
         self.rays += picture.rays
         self.timer.add("trace_s", start)
-        return picture.mean, log.luminance
+        return picture.mean, log.color
 
     def trace_without(self, full: Tlas, first_sample: int, keep: np.ndarray, only: NDArray[np.uint8], log: PathLog, progress: Progress = silent) -> None:
         """Into log what those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with only keep (N,) bool in the scene, by the
@@ -335,8 +397,7 @@ class Loop:
         records[np.flatnonzero(only), 0] = 0
         feedback = Feedback.zeros(len(self.active))  # without which paths are not recorded
         picture = self._trace(self._dark_but(keep), tlas, only.shape[2], first_sample, feedback, progress, self.size, log, only)
-        by_instance = np.argsort(full.ids)
-        renumber(records, only.reshape(-1), by_instance[np.searchsorted(full.ids[by_instance], tlas.ids)])
+        renumber(records, only.reshape(-1), _places(full.ids, tlas.ids))
         self.rays += picture.rays
         self.timer.add("trace_s", start)
 
@@ -394,7 +455,7 @@ class Loop:
             self._provide(progress)
             tlas = self.build(self.active)
             start = time.perf_counter()
-            waiting = self._waiting() if self._limited else None
+            waiting = self._waiting() if self.limited else None
             cut = self.regions.cut(np.flatnonzero(self.active) if waiting is None else tlas.ids, waiting)
             boxes = Hitboxes(cut.bounds, self.device)
             self.timer.add("build_s", start)
@@ -432,20 +493,30 @@ class Loop:
         """Open the boxes that paths asked for, activate instances met before they were active. Returns how many segments per path asked."""
         start = time.perf_counter()
         crossings = feedback.boxes.sum(axis=1)
-        asked = np.flatnonzero(crossings >= COLD_HITS)
+        enough = self._detected(crossings, feedback.paths)
+        asked = np.flatnonzero(crossings >= enough)
         leaves = asked[cut.level[asked] == 0]
         single = self.regions.order[cut.index[leaves]]
         crossed = (crossings[leaves] / max(feedback.paths, 1)).astype(np.float32)
         waits = self.active[single]  # for its BLAS: what paths met of it before says more than what crosses its box now
         self.value[single] = np.where(waits, np.minimum(GROWTH * self.value[single], crossed), crossed)
         asked = np.setdiff1d(asked, leaves[waits], assume_unique=True)
-        self.regions.split_nodes(cut, asked, crossings[asked] // COLD_HITS)
+        self.regions.split_nodes(cut, asked, crossings[asked] // enough)
         self.active[self.regions.instances_of(cut, asked)] = True
         emissive = self.prepared.emissive  # emitters that lit a path are known before their boxes are crossed
         self.active[emissive[feedback.hits[emissive].sum(axis=1) >= COLD_HITS]] = True
         self._asked = (cut, crossings)
         self.timer.add("feedback_s", start)
         return float(crossings[asked].sum()) / max(feedback.paths, 1)
+
+    @staticmethod
+    def _detected(crossings: I64, paths: int) -> int:
+        """How often a box must be crossed to be opened: where most of what paths cross are boxes that few of them cross, once is enough, for chance is the
+        rule.
+        """
+        often = int(crossings[crossings >= COLD_HITS].sum())
+        seldom = int(crossings.sum()) - often
+        return 1 if seldom > often and seldom > SETTLED * paths else COLD_HITS
 
     def _light_up(self, cut: Cut, feedback: Feedback) -> None:
         """Activate every emitter that lit a path, or whose box one crossed: few paths may carry much of a tile's light."""
@@ -455,7 +526,13 @@ class Loop:
             lit = feedback.hits[emissive].any(axis=1) | np.isin(emissive, self.regions.order[cut.index[crossed]])
             self.active[emissive[lit]] = True
 
-    def result(self, keep: np.ndarray, score: F32, hits: I64, **figures: float | int) -> CullingResult:
+    def include(self, rows: np.ndarray) -> None:
+        """Have a set of instances, (N,) bool, in the TLAS, as far as no budget of BLASes forbids."""
+        self._opened.append(np.flatnonzero(rows & ~self.active))
+        self.active |= rows
+        self._provide(silent)
+
+    def result(self, keep: np.ndarray, score: F32, hits: I64, warnings: tuple[str, ...] = (), **figures: float | int) -> CullingResult:
         """States for keep (N,) bool, with the final structures built and counted; figures go into the stats. What the next frame need not have is freed."""
         keep = self.kept = self._twins.joined(self.scene.instances.bounds, keep | self.pinned)
         self.active |= keep
@@ -468,7 +545,7 @@ class Loop:
         cut = self.regions.cut(np.flatnonzero(keep))
         boxes = Hitboxes(cut.bounds, self.device)
         state = np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED))
-        if self._limited:
+        if self.limited:
             waiting = self._waiting()
             comes = bool(self.options.blas_budget_ms) & ~np.isin(mesh[waiting], self.blas.refused)
             state[waiting] = np.where(comes, np.uint8(State.PENDING), np.uint8(State.CULLED))
@@ -494,7 +571,7 @@ class Loop:
             "iterations": self.rounds,
             **figures,
         }
-        return CullingResult(state, score, hits, cut.bounds, stats)
+        return CullingResult(state, score, hits, cut.bounds, stats, warnings)
 
     def _release(self) -> None:
         """Let go of what paths do not need any more: instances that none met, regions whose parts none asked for."""
@@ -502,6 +579,8 @@ class Loop:
             return
         start = time.perf_counter()
         ids, met = self.measured.tlas.ids, self.measured.met
+        for opened in self._opened:  # unless a measurement has found out about them since
+            self.active[np.setdiff1d(opened[~self.kept[opened]], ids)] = False
         self.known = np.zeros(len(self.active), bool)
         self.known[ids] = True
         self.value[ids] = met[ids] / max(self.measured.feedback.paths, 1)
@@ -514,3 +593,9 @@ class Loop:
 
 def _mean_luminance(picture: F32) -> float:
     return float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean())
+
+
+def _places(ids: I32, some: I32) -> np.ndarray:
+    """The place in ids (A,) of each of some (B,) of them, and behind these A, the number that stands for what is not built."""
+    order = np.argsort(ids)
+    return np.append(order[np.searchsorted(ids[order], some)], len(ids))

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from .budget import ENTRY_BYTES, Budget, Savings
 from .calibration import Search
+from .error_estimate import CONFIDENCE
 from .judge import Judge
 from .path_log import PathLog
 from .progress import Progress, part, silent
 from .scene import F64, I32
+from .units import Units
 
 SHARES = (1.0, 0.9, 0.8, 0.6, 0.4)  # of the mean's bound that are tried
 PATHS = 4.0  # traced by a search at most, to those of the judge
@@ -37,6 +39,7 @@ def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterab
     """
     trial = PathLog.zeros(*judge.log.luminance.shape)
     savings = Savings.among(judge.scene.instances.mesh[ids], judge.loop.blas.counted_bytes)
+    units = Units.single(worth)
 
     def kept(cull: np.ndarray) -> np.ndarray:
         keep = np.zeros(len(judge.scene.instances), bool)
@@ -50,7 +53,8 @@ def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterab
     def thinned_out(first: np.ndarray | None, progress: Progress) -> np.ndarray:
         for share in SHARES:  # a search adds the confidence of its measurement to the tiles alone, not to their mean
             within = Budget(share * budget.mean, budget.worst)
-            keep = kept(Search(judge.base, judge.log.copy(), without, worth, savings, within, before=first, paths=PATHS).run(progress).cull)
+            found = Search(judge.reference, judge.log.copy(), without, units, savings, within, first, paths=PATHS, confidence=CONFIDENCE).run(progress)
+            keep = kept(found[-1].cull)
             if judge.change(keep).surely_holds(budget):
                 return keep
         return kept(np.zeros(len(ids), bool))

@@ -11,7 +11,20 @@ from .film import LUMINANCE
 from .lamps import FAR
 from .memory import i32_pointer
 from .path_log import RECORD
-from .path_state import MAX_VERTICES, NO_PART, PARTS_AT, V_AMBIENT, V_CLAMP_DIRECT, V_CLAMP_INDIRECT, V_UNITS, W_RECORD, W_TILE, W_VERTICES
+from .path_state import (
+    I_UNBUILT,
+    I_WEIGHED_FROM,
+    MAX_VERTICES,
+    NO_PART,
+    PARTS_AT,
+    V_AMBIENT,
+    V_CLAMP_DIRECT,
+    V_CLAMP_INDIRECT,
+    V_UNITS,
+    W_RECORD,
+    W_TILE,
+    W_VERTICES,
+)
 from .sampling import INNER
 from .scene import RAY_TYPES
 
@@ -36,8 +49,9 @@ def luminance_of(r, g, b):
 def add_worth(s, w, entry, luminance):
     """Credit a TLAS entry with luminance of the current tile."""
     units = luminance * s.limits[V_UNITS]
-    if units >= _ONE:
-        atomic_add_int64(s.weights + np.uint64(8) * np.uint64(entry * TILES + w.stats[W_TILE]), np.int64(min(units, _MOST)))
+    row = entry - s.settings[I_WEIGHED_FROM]
+    if units >= _ONE and row >= 0:
+        atomic_add_int64(s.weights + np.uint64(8) * np.uint64(row * TILES + w.stats[W_TILE]), np.int64(min(units, _MOST)))
 
 
 @njit(**INNER)
@@ -70,6 +84,15 @@ def remember(s, w, entry, tr, tg, tb):
         w.carried[2 * n] = luminance_of(w.total[0], w.total[1], w.total[2])
         w.carried[2 * n + 1] = luminance_of(tr, tg, tb) * s.limits[V_AMBIENT]
         w.stats[W_VERTICES] = n + 1
+
+
+@njit(**INNER)
+def credit_unbuilt(s, w, luminance):
+    """Light of the path that something which is not built might block, or sends: credited to what is not built."""
+    unbuilt = s.settings[I_UNBUILT]
+    if unbuilt >= 0:
+        log_entry(s, w, unbuilt)
+        add_worth(s, w, unbuilt, luminance)
 
 
 @njit(**INNER)

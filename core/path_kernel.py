@@ -50,13 +50,13 @@ from .lobes import (
     TRANSPARENT,
 )
 from .memory import f32_pointer, load_f32, load_i32, load_u8, load_u32, u32_pointer
-from .path_feedback import add_light, add_worth, count_hit, luminance_of, remember, settle
+from .path_feedback import add_light, add_worth, count_hit, remember, settle
 from .path_log import RECORD
 from .path_rays import count_boxes, entry_of, intersect, set_ray
 from .path_state import (
     A_CAMERA,
+    A_COLOR,
     A_FILTER,
-    A_LUMINANCE,
     A_ONLY,
     A_PARTS,
     A_PRIMARY,
@@ -82,6 +82,7 @@ from .path_state import (
     I_TRANSMISSION,
     I_TRANSPARENT,
     I_TRANSPARENT_FILM,
+    I_UNBUILT,
     I_WIDTH,
     LIGHT_ONLY,
     MAYBE,
@@ -192,7 +193,9 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         if record != np.uint64(0):
             part = STRAIGHT if bounce == 0 else CLEAR if second else NO_PART
         if count and not first:
-            count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.ray_words, t, ray_type, s.settings[I_HITBOX_NEAREST])
+            crossed = count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.ray_words, t, ray_type, s.settings[I_HITBOX_NEAREST])
+            if crossed > 0 and s.settings[I_UNBUILT] >= 0:
+                remember(s, w, s.settings[I_UNBUILT], tr, tg, tb)
         if s.lights[L_COUNT_SHAPES] != np.uint64(0):
             add_lamps_seen(s, w, ox, oy, oz, dx, dy, dz, t if hit else FAR, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before, part)
         if bounce > 0:
@@ -348,7 +351,7 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
 def trace_tile(x0, y0, x1, y1, a):
     """Trace all samples of the pixels [x0, x1) x [y0, y1), or those paths that A_ONLY marks; a: addresses, A_*.
 
-    Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[2]; writes the luminance of each path to A_LUMINANCE where that is given.
+    Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[2]; writes the light of each path to A_COLOR where that is given.
     """
     s = scenery(a)
     work = np.empty(WORK + 16, np.uint8)
@@ -362,7 +365,7 @@ def trace_tile(x0, y0, x1, y1, a):
     seed = np.uint64(s.settings[I_SEED])
     exposure = s.limits[V_EXPOSURE]
     samples = s.settings[I_SAMPLES]
-    luminance = f32_pointer(a[A_LUMINANCE])
+    color = f32_pointer(a[A_COLOR])
     paths = 0
     for y in range(y0, y1):
         for x in range(x0, x1):
@@ -394,11 +397,12 @@ def trace_tile(x0, y0, x1, y1, a):
                         parts[PARTS * (y * width + x) + c] += exposure * w.total[PARTS_AT + c]
                 if s.weights != np.uint64(0):
                     settle(s, w)
-                if a[A_LUMINANCE] != np.uint64(0):
-                    luminance[path] = luminance_of(w.total[0], w.total[1], w.total[2])
-                    if record != np.uint64(0) and s.settings[I_LAMPS_KNOWN] != 0:
-                        for part in range(PARTS_AT + CLEAR, PARTS_AT + MAYBE + 3, 3):
-                            luminance[path] -= luminance_of(w.total[part], w.total[part + 1], w.total[part + 2])
+                if a[A_COLOR] != np.uint64(0):
+                    known = record != np.uint64(0) and s.settings[I_LAMPS_KNOWN] != 0
+                    for c in range(3):
+                        color[3 * path + c] = w.total[c]
+                        if known:
+                            color[3 * path + c] -= w.total[PARTS_AT + CLEAR + c] + w.total[PARTS_AT + MAYBE + c]
                 r += w.total[0]
                 g += w.total[1]
                 b += w.total[2]

@@ -11,41 +11,63 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .scene import F32, I32
+from .film import LUMINANCE
+from .scene import F32, I32, I64
 
 RECORD = 16  # int32 per path, a line of the cache: how many entries it met, then the entries; a path that met more counts as one that met everything
 
 
 @dataclass(frozen=True)
 class PathLog:
-    """records: (H, W, S, RECORD) int32, count and TLAS entries met by each of S paths per pixel; luminance: (H, W, S) float32 of each path."""
+    """records: (H, W, S, RECORD) int32, count and TLAS entries met by each of S paths per pixel; the number behind the last entry stands for boxes of what is
+    not built. color: (H, W, S, 3) float32, linear light of each path."""
 
     records: I32
-    luminance: F32
+    color: F32
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Height, width, samples."""
+        height, width, samples = self.color.shape[:3]
+        return height, width, samples
+
+    @property
+    def luminance(self) -> F32:
+        """(H, W, S) float32 of each path."""
+        return np.asarray(self.color @ LUMINANCE.astype(np.float32))
 
     @staticmethod
     def zeros(height: int, width: int, samples: int) -> PathLog:
         """Nothing traced yet."""
-        return PathLog(np.zeros((height, width, samples, RECORD), np.int32), np.zeros((height, width, samples), np.float32))
+        return PathLog(np.zeros((height, width, samples, RECORD), np.int32), np.zeros((height, width, samples, 3), np.float32))
 
     def copy(self) -> PathLog:
-        """One of its own."""
-        return PathLog(self.records.copy(), self.luminance.copy())
+        """A deep copy."""
+        return PathLog(self.records.copy(), self.color.copy())
 
     def joined(self, more: PathLog) -> PathLog:
         """With the samples of another log behind these."""
-        return PathLog(np.concatenate([self.records, more.records], axis=2), np.concatenate([self.luminance, more.luminance], axis=2))
+        return PathLog(np.concatenate([self.records, more.records], axis=2), np.concatenate([self.color, more.color], axis=2))
 
     def update(self, only: NDArray[np.uint8], other: PathLog) -> None:
         """Take the paths that only, (H, W, S), marks from another log."""
         marked = only != 0
-        self.records[marked], self.luminance[marked] = other.records[marked], other.luminance[marked]
+        self.records[marked], self.color[marked] = other.records[marked], other.color[marked]
 
-    def affected(self, culled: np.ndarray) -> NDArray[np.uint8]:
-        """1 for each path that met one of the culled TLAS entries, (A,) bool, or more than its record holds: (H, W, S) uint8."""
-        out = np.zeros(self.luminance.shape, np.uint8)
-        _mark(self.records.reshape(-1, RECORD), np.append(culled, False), out.reshape(-1))
+    def affected(self, culled: np.ndarray, among: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+        """1 for each path that met one of the culled TLAS entries, (A,) bool, a box of what is not built, or more than its record holds: (H, W, S) uint8.
+
+        among: (H, W, S), marks the paths that there are, where those are not all.
+        """
+        out = np.ones(self.shape, np.uint8) if among is None else among.copy()
+        _mark(self.records.reshape(-1, RECORD), np.append(culled, True), out.reshape(-1))
         return out
+
+    def paths_met(self, entries: int) -> I64:
+        """How many paths met each of so many TLAS entries, (entries,) int64; of a path that met more than its record holds, only what that holds."""
+        out = np.zeros(entries + 1, np.int64)
+        _count(self.records.reshape(-1, RECORD), out)
+        return out[:entries]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -60,15 +82,24 @@ def renumber(records, only, entries):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mark(records, culled, out):
-    """out[p] = 1 where records[p] holds a culled entry or is over-full."""
+    """out[p] = 0 unless records[p] holds a culled entry or is over-full."""
     for p in range(len(records)):
+        if out[p] == 0:
+            continue
         count = records[p, 0]
-        if count == RECORD:
-            out[p] = 1
+        marked = count == RECORD
         for k in range(1, min(count + 1, RECORD)):
-            if culled[records[p, k]]:
-                out[p] = 1
-                break
+            marked = marked or culled[records[p, k]]
+        if not marked:
+            out[p] = 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count(records, out):
+    """Add to out the number of records that hold each entry."""
+    for p in range(len(records)):
+        for k in range(1, min(records[p, 0] + 1, RECORD)):
+            out[records[p, k]] += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

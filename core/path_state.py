@@ -40,8 +40,10 @@ from .shading import SURF
     I_STRATEGY,
     I_LAMPS_KNOWN,
     I_CAMERAS,
-) = range(20)
-SETTINGS = 20
+    I_WEIGHED_FROM,
+    I_UNBUILT,
+) = range(22)
+SETTINGS = 22  # I_WEIGHED_FROM: `Weights.first`; I_UNBUILT: the number that stands for boxes in records and weights, -1 for none
 BOTH, LIGHT_ONLY, BSDF_ONLY = 0, 1, 2  # I_STRATEGY: for tests, all agree in the mean
 
 # limits, float32[LIMITS]: clamps (sum over channels, FAR where off), inverse of filter glossy (0: off), exposure, world colour
@@ -135,7 +137,7 @@ class Scratch(NamedTuple):
     A_TILE_LIGHT,
     A_ENTRIES,
     A_LOG,
-    A_LUMINANCE,
+    A_COLOR,
     A_ONLY,
     A_PRIMARY,
     A_PRIMARY_MESHES,

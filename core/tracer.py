@@ -118,7 +118,7 @@ def trace(
     feedback: hits and box crossings are added to it; nearest: boxes counted per segment (hitboxes.ALL_CROSSINGS: every one); hitbox_every: count boxes on
     one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled now and then; where it
     says True the picture is returned as far as it is. strategy: path_state.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
-    log: gets the luminance of each path (less light that is known without tracing, `Primary.lamps_known`), and, where feedback is given, what the path met.
+    log: gets the light of each path (less light that is known without tracing, `Primary.lamps_known`), and, where feedback is given, what the path met.
     only: (H, W, samples) uint8, trace those paths that are not 0.
     Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of what is culled, to tell for the parts
     which light of lamps that may block.
@@ -132,10 +132,14 @@ def trace(
     stats = np.zeros(2, np.int64)
     settings, limits = _settings(scene, width, height, samples, first_sample, seed, hitbox_every, nearest, strategy)
     if feedback is not None and feedback.weights is not None:
-        limits[state.V_AMBIENT], limits[state.V_UNITS] = feedback.weights.ambient, 1 / feedback.weights.unit
+        weights = feedback.weights
+        limits[state.V_AMBIENT], limits[state.V_UNITS] = weights.ambient, 1 / weights.unit
+        settings[state.I_WEIGHED_FROM] = weights.first
+        if weights.first + len(weights.light) > len(tlas):
+            settings[state.I_UNBUILT] = len(tlas)
     addresses = _addresses(prepared, tlas, feedback, settings, limits, sums, stats)
     if log is not None:
-        addresses[state.A_LUMINANCE] = address(log.luminance)
+        addresses[state.A_COLOR] = address(log.color)
         addresses[state.A_LOG] = address(log.records) if feedback is not None else 0
     entries = np.zeros(0, np.int32)
     if feedback is not None and (feedback.weights is not None or log is not None):
@@ -214,6 +218,7 @@ def _settings(
         state.I_HITBOX_NEAREST: nearest,
         state.I_STRATEGY: strategy,
         state.I_CAMERAS: max(len(scene.shutter), 1),
+        state.I_UNBUILT: -1,
     }.items():
         settings[slot] = value
     values = np.zeros(state.LIMITS, np.float32)

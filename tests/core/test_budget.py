@@ -64,16 +64,3 @@ def test_what_is_rather_to_stay_saves_less_also_where_others_are_gone() -> None:
     savings = budget.Savings.among(np.array([0, 0, 1]), np.array([4000, 1000]), np.array([1.0, 2.0, 4.0]))
     plain = budget.Savings.among(np.array([0, 1]), np.array([4000, 1000]))
     assert savings.among_these(np.array([False, True, True])).share == pytest.approx(plain.share / [2.0, 4.0])
-
-
-def test_unseen_share_is_what_was_missed() -> None:
-    """Instances met with known small probabilities: Turing's estimate against the true missing mass, within a few of its standard deviations."""
-    rng = np.random.default_rng(2)
-    probability = rng.exponential(1, 3000)
-    probability /= probability.sum()
-    n = 4000
-    errors = []
-    for _ in range(50):
-        hits = rng.multinomial(n, probability)
-        errors.append(budget.unseen_share(hits, n) - probability[hits == 0].sum())
-    assert abs(np.mean(errors)) < 4 * np.std(errors) / np.sqrt(50) + 1 / n

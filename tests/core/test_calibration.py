@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lipac.core import analysis
 from lipac.core.budget import Budget, Savings
-from lipac.core.calibration import CONFIDENCE, Base, Search
-from lipac.core.change import Change
+from lipac.core.calibration import LIKELY, Choice, Search, refined
 from lipac.core.culling import CullOptions
-from lipac.core.frames import Shot
+from lipac.core.error_estimate import Light, Reference
 from lipac.core.loop import Loop, Measurement
 from lipac.core.path_log import RECORD, PathLog
-from lipac.core.tiles import COLUMNS, ROWS, TILES
+from lipac.core.tiles import TILES
+from lipac.core.units import Units
 
 from .test_loop import stage
 
@@ -44,9 +43,9 @@ def test_paths_that_met_nothing_culled_do_not_change(measured: tuple[Loop, Measu
     only = m.log.affected(cull)
     assert 0 < only.mean() < 1
     everything = loop.trace_paths(keep, m.first_sample, np.ones_like(only))[1]
-    np.testing.assert_array_equal(everything[only == 0], m.log.luminance[only == 0])
+    np.testing.assert_array_equal(everything[only == 0], m.log.color[only == 0])
     np.testing.assert_array_equal(loop.trace_paths(keep, m.first_sample, only)[1][only == 1], everything[only == 1])
-    assert (everything[only == 1] != m.log.luminance[only == 1]).any()
+    assert (everything[only == 1] != m.log.color[only == 1]).any()
 
 
 def test_affected_against_a_plain_search() -> None:
@@ -61,10 +60,10 @@ def test_affected_against_a_plain_search() -> None:
 
 
 def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
-    """Culling a set in three steps, each tracing only what it changes: luminances, records and changes as of a trace of every path without the whole set."""
+    """Culling a set in three steps, each tracing only what it changes: colours, records and changes as of a trace of every path without the whole set."""
     loop, m = measured
-    base, log, after = Base(m.log), m.log.copy(), m.log.copy()  # what a trial's log held before does not matter
-    trial = base.nothing()
+    reference, log, after = Reference(m.log), m.log.copy(), m.log.copy()  # what a trial's log held before does not matter
+    difference = reference.nothing
     culled = np.zeros(len(m.tlas.ids), bool)
     for seed in range(3):
         more, _ = cull_some(loop, m, seed)
@@ -73,48 +72,33 @@ def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
         keep[m.tlas.ids[~(culled | more)]] = True
         assert 0 < only.mean() < 1
         loop.trace_without(m.tlas, m.first_sample, keep, only, after)
-        trial = base.compare(only, after.luminance, log, trial)
+        difference = reference.compare(only, after.color, log, difference)
         log.update(only, after)
         culled |= more
         everything = PathLog.zeros(*only.shape)
         loop.trace_without(m.tlas, m.first_sample, keep, np.ones_like(only), everything)
-        np.testing.assert_array_equal(log.luminance, everything.luminance)
+        np.testing.assert_array_equal(log.color, everything.color)
         entries = np.arange(RECORD) <= np.minimum(log.records[..., :1], RECORD - 1)  # what is behind them is nobody's
         np.testing.assert_array_equal(np.where(entries, log.records, 0), np.where(entries, everything.records, 0))
         assert not (culled[log.records[..., 1:]] & entries[..., 1:]).any()
-        at_once = base.compare(m.log.affected(culled), everything.luminance, m.log, base.nothing())
-        np.testing.assert_allclose(trial.change, at_once.change, atol=1e-12)
-        np.testing.assert_allclose(trial.deviation, at_once.deviation, atol=1e-12)
-
-
-def test_change_is_that_of_the_picture(measured: tuple[Loop, Measurement]) -> None:
-    """By tiles, against the sums of whole pictures: equal but for float32 luminances, 1e-6 of the tile."""
-    loop, m = measured
-    base = Base(m.log)
-    cull, keep = cull_some(loop, m, 1)
-    only = m.log.affected(cull)
-    luminance = loop.trace_paths(keep, m.first_sample, only)[1]
-    trial = base.compare(only, luminance, m.log, base.nothing())
-    height, width, samples = only.shape
-    y, x = np.arange(height) * ROWS // height, np.arange(width) * COLUMNS // width
-    tile = np.repeat((y[:, None] * COLUMNS + x[None, :]).ravel(), samples)
-    a = np.bincount(tile, m.log.luminance.ravel(), TILES)
-    b = np.bincount(tile, loop.trace_paths(keep, m.first_sample, np.ones_like(only))[1].ravel(), TILES)
-    np.testing.assert_allclose(trial.change, (b - a) / base.light, atol=1e-6)
+        at_once = reference.compare(m.log.affected(culled), everything.color, m.log, reference.nothing)
+        np.testing.assert_allclose(difference.pixels, at_once.pixels, atol=1e-9)  # sums of float64 in another order
+        np.testing.assert_allclose(difference.squares, at_once.squares, atol=1e-9)
 
 
 def test_a_difference_is_put_down_to_what_the_path_met_first() -> None:
-    """Two paths meet entry 1, one of them after entry 0 and so for 0's account; entry 2 is not culled and has no row."""
-    log = PathLog.zeros(ROWS, COLUMNS, 2)
-    log.luminance[:] = 0.5
+    """Two paths meet entry 1, one of them after entry 0 and so for 0's account; entry 2 is not culled and has no row. Units are entries here."""
+    log = PathLog.zeros(9, 16, 2)
+    log.color[:] = 0.5
     log.records[0, 0, 0, :3], log.records[0, 0, 1, :3], log.records[0, 1, 0, :4] = (2, 2, 1), (1, 1, 0), (3, 2, 0, 1)
     culled = np.array([True, True, False])
-    other = np.where(log.affected(culled) == 1, np.float32(0.25), np.float32(0))
-    bounds = Base(log, confidence=2.0).bound_by_entry(culled, log.affected(culled), other, log)
+    only = log.affected(culled)
+    other = np.where(only[..., None] == 1, np.float32(0.25), np.zeros(3, np.float32))
+    sizes = Reference(log).sizes_by_unit(np.arange(3, dtype=np.int32), culled, only, other, log, 2.0)
     expected = np.zeros((2, TILES))
     expected[1, 0] = 2 * 0.25 + 2 * np.sqrt(2 * 0.25**2)
     expected[0, 1] = 0.25 + 2 * 0.25
-    np.testing.assert_allclose(bounds, expected, atol=1e-12)  # a tile has two paths, of luminance 1 together
+    np.testing.assert_allclose(sizes, expected, atol=1e-7)  # a tile has two paths, of luminance 1 together; its weights sum to 1 in float32
 
 
 def test_a_search_goes_on_from_what_was_culled_before() -> None:
@@ -123,54 +107,40 @@ def test_a_search_goes_on_from_what_was_culled_before() -> None:
     savings, worth = Savings.among(np.arange(8, dtype=np.int32), np.full(8, 1000)), np.full((8, TILES), 1e-4)
     before = np.arange(8) < 2
     budget = Budget(0.02, 0.2)
-    on = Search(Base(world.log), world.log.copy(), world.without, worth, savings, budget, before=before).run()
+    on = world.search(worth, savings, budget, before=before).run()[-1]
     assert on.cull[before].all()
     assert on.cull.sum() > 2
     assert world.excess(on.cull, budget) <= 1
-    kept = Search(Base(world.log), world.log.copy(), world.without, worth, savings, budget, before=before, hysteresis=1e3).run()
+    (kept,) = world.search(worth, savings, budget, before=before, hysteresis=1e3).run()
     assert (kept.cull == before).all()
 
 
-def test_deviation_is_that_of_repeated_measurements() -> None:
-    """The deviation that one measurement states, against the scatter of many: their ratio of variances, summed over tiles, within a quarter
-    (40 repetitions of 144 tiles, some of them correlated by nothing: the scatter's own error is a few per cent)."""
-    rng = np.random.default_rng(3)
-    stated, changes = [], []
-    for _ in range(40):
-        log = PathLog.zeros(18, 32, 64)
-        log.luminance[:] = 1.0
-        other = log.luminance.copy()
-        affected = rng.random(other.shape) < 0.05
-        other[affected] = rng.exponential(2.0, int(affected.sum()))
-        base = Base(log)
-        trial = base.compare(affected.astype(np.uint8), other, log, base.nothing())
-        stated.append(trial.deviation**2)
-        changes.append(trial.change)
-    assert np.mean(stated) == pytest.approx(np.var(changes, axis=0, ddof=1).mean(), rel=0.25)
-
-
 class Additive:
-    """A picture of one path per pixel that meets one entry each, which hides it where it is culled."""
+    """A picture of paths that meet one entry each, which hides it where it is culled."""
 
     def __init__(self, entries: int) -> None:
         rng = np.random.default_rng(5)
-        self.log = PathLog.zeros(36, 64, 4)
-        self.log.luminance[:] = 1.0
-        self.log.records[..., 0], self.log.records[..., 1] = 1, rng.integers(0, entries, self.log.luminance.shape)
-        self.log.records[..., 1][rng.random(self.log.luminance.shape) < 0.9] = entries - 1  # most paths meet the last one
+        self.log = PathLog.zeros(36, 64, 16)
+        self.log.color[:] = 1.0
+        self.log.records[..., 0], self.log.records[..., 1] = 1, rng.integers(0, entries, self.log.shape)
+        self.log.records[..., 1][rng.random(self.log.shape) < 0.9] = entries - 1  # most paths meet the last one
         self.traced = self.met = 0  # paths: that were asked for, and that met anything culled
 
     def without(self, cull: np.ndarray, only: np.ndarray) -> PathLog:
         self.traced += int(only.sum())
         self.met += int(self.log.affected(cull).sum())
-        return PathLog(self.log.records, np.where(only == 1, np.float32(0.9), self.log.luminance))
+        return PathLog(self.log.records, np.where(only[..., None] == 1, np.float32(0.9), self.log.color))
+
+    def search(self, worth: np.ndarray, savings: Savings, budget: Budget, **more: Any) -> Search:
+        return Search(Reference(self.log), self.log.copy(), more.pop("without", self.without), Units.single(worth), savings, budget, **more)
 
     def excess(self, cull: np.ndarray, budget: Budget) -> float:
         """Of the true change, without margin."""
         only = self.log.affected(cull)
-        base = Base(self.log)
-        trial = base.compare(only, self.without(cull, only).luminance, self.log, base.nothing())
-        return max(trial.mean / budget.mean, float(np.abs(trial.change).max()) / budget.worst)
+        reference = Reference(self.log)
+        difference = reference.compare(only, self.without(cull, only).color, self.log, reference.nothing)
+        estimate = Light.of(reference).estimate(difference)
+        return max(estimate.mean / budget.mean, estimate.worst / budget.worst)
 
 
 def test_search_spends_the_budget_and_no_more() -> None:
@@ -181,101 +151,47 @@ def test_search_spends_the_budget_and_no_more() -> None:
     worth = np.zeros((10, TILES))
     for entry in range(10):
         only = world.log.affected(np.arange(10) == entry)
-        worth[entry] = np.bincount(Base(world.log).tile, only.ravel(), TILES) / Base(world.log).light
-    chosen = Search(Base(world.log), world.log.copy(), world.without, worth, savings, budget).run()
+        worth[entry] = np.bincount(np.repeat(Reference(world.log).tile, 16), only.ravel(), TILES) / 256  # paths of a tile
+    steps = world.search(worth, savings, budget).run()
+    chosen = steps[-1]
     assert 0 < world.traced < 0.7 * world.met  # larger sets at the cost of what is new in them
     assert world.excess(chosen.cull, budget) <= 1
-    assert chosen.trial.worst >= np.abs(chosen.trial.change).max() + CONFIDENCE * chosen.trial.deviation.min()
+    assert chosen.estimate.excess(budget, LIKELY) <= 1
+    assert all(not (a.cull & ~b.cull).any() for a, b in itertools.pairwise(steps))
     most = max(sum(s) for s in itertools.product((0, 1), repeat=10) if world.excess(np.array(s, bool), budget) <= 1)
     assert most - 2 <= chosen.cull.sum() <= most
+
+
+def test_steps_are_refined_into_pieces_of_equal_worth() -> None:
+    world = Additive(1)
+    units = Units.single(np.repeat(np.arange(9.0)[:, None], TILES, axis=1))
+    estimate = world.search(units.worth[:1], Savings.among(np.zeros(1, np.int32), np.array([100])), Budget(1.0, 1.0)).run()[0].estimate
+    steps = [Choice(np.arange(9) < n, Reference(world.log).nothing, estimate) for n in (1, 9)]
+    sets = refined(steps, units)
+    assert [int(x.sum()) for x in sets] == [1, 4, 6, 7, 9]  # 1 + 2 + 3 are less than a quarter of 36, with 4 and 5 less than a half
 
 
 def test_what_must_stay_stays_and_paths_are_limited() -> None:
     world = Additive(6)
     worth = np.full((6, TILES), 1e-6)
     worth[2] = np.inf
-    search = Search(Base(world.log), world.log.copy(), world.without, worth, Savings.among(np.zeros(6, np.int32), np.array([100])), Budget(1.0, 1.0))
-    chosen = search.run()
+    search = world.search(worth, Savings.among(np.zeros(6, np.int32), np.array([100])), Budget(1.0, 1.0))
+    chosen = search.run()[-1]
     assert not chosen.cull[2]
     assert chosen.cull.sum() >= 1
-    assert search.traced <= world.log.luminance.size
+    assert search.traced <= np.prod(world.log.shape)
 
 
 def test_a_budget_of_nothing_culls_what_no_path_met() -> None:
     world = Additive(4)
     worth = np.vstack([np.full((4, TILES), 1e-3), np.zeros((1, TILES))])  # the fifth is met by no path
-    chosen = Search(Base(world.log), world.log.copy(), world.without, worth, Savings.among(np.zeros(5, np.int32), np.array([100])), Budget(0.0, 0.0)).run()
+    chosen = world.search(worth, Savings.among(np.zeros(5, np.int32), np.array([100])), Budget(0.0, 0.0)).run()[-1]
     assert chosen.cull.tolist() == [False, False, False, False, True]
 
 
-def test_a_measurement_in_two_parts_is_one_of_all_paths() -> None:
-    """Counts, fixed-point sums and logs, bit for bit."""
-    options = CullOptions(width=96, max_error=Budget(0.02, 0.1))
-    loop = Loop(stage(), options)
-    loop.run()
-    first = loop.measured
-    assert first is not None
-    assert first.log.luminance.shape[2] == loop.first_samples < loop.samples
-    both = loop.measure_on(first)
-    loop.first_samples = loop.samples
-    at_once = loop.measure(first.tlas)
-    assert both.feedback.paths == at_once.feedback.paths == both.log.luminance.size
-    for a, b in (
-        (both.feedback.hits, at_once.feedback.hits),
-        (both.weights.light, at_once.weights.light),
-        (both.weights.total, at_once.weights.total),
-        (both.log.records, at_once.log.records),
-        (both.log.luminance, at_once.log.luminance),
-    ):
-        np.testing.assert_array_equal(a, b)
-
-
-def test_more_paths_are_measured_where_more_than_a_little_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And the measurement says what the whole scene shows, whatever has been culled since."""
-    options = CullOptions(width=96, max_error=Budget(0.02, 0.1))
-    for share, refined in ((0.0, True), (1.0, False)):
-        monkeypatch.setattr(analysis, "REFINED", share)
-        loop = Loop(stage(), options)
-        analysis.decide(loop)
-        assert loop.measured is not None
-        assert loop.measured.log.luminance.shape[2] == (loop.samples if refined else loop.first_samples)
-        again = Loop(stage(), options)
-        again.run()
-        assert again.measured is not None
-        np.testing.assert_array_equal(loop.measured.log.luminance[..., : loop.first_samples], again.measured.log.luminance)
-
-
-def test_a_frame_after_one_that_needed_all_paths_measures_them_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(analysis, "REFINED", 0.0)
-    searches: list[int] = []
-    run = Search.run
-
-    def counted(self: Search, *args: Any) -> Any:
-        searches.append(self.log.luminance.shape[2])
-        return run(self, *args)
-
-    monkeypatch.setattr(Search, "run", counted)
-    shot, scene = Shot(CullOptions(width=96, max_error=Budget(0.02, 0.1))), stage()
-    shot.advance(scene)
-    assert shot.loop is not None
-    some, every = shot.loop.options.first_paths_per_pixel(scene.film), shot.loop.samples
-    assert searches == [some, every]
-    shot.advance(scene, Change(None, None, np.zeros(0, np.int32), np.zeros(0, np.int32), False, False))
-    assert searches == [some, every, every]
-
-
 def test_where_the_last_set_breaks_the_budget_another_is_searched_for() -> None:
-    """Also where what is owed to the unseen uses up half of the budget as soon as anything changes at all."""
     world = Additive(10)
     savings, worth = Savings.among(np.arange(10, dtype=np.int32), np.full(10, 1000)), np.full((10, TILES), 1e-4)
-    worth[0] = 0.0  # predicted to be worth nothing, though paths meet it
     budget, before = Budget(0.012, 0.3), np.arange(10) > 0
-
-    def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
-        hidden = np.where(world.log.records[..., 1] == 0, np.float32(1 - 1e-6), np.float32(0.9))
-        return PathLog(world.log.records, np.where(only == 1, hidden, world.log.luminance))
-
-    def chosen(**more: Any) -> np.ndarray:
-        return Search(Base(world.log), world.log.copy(), without, worth, savings, budget, unseen=0.02, **more).run().cull
-
-    assert chosen(before=before, hysteresis=2.0).sum() == chosen().sum() > 1
+    chosen = world.search(worth, savings, budget).run()[-1]
+    assert world.search(worth, savings, budget, before=before, hysteresis=2.0).run()[-1].cull.sum() == chosen.cull.sum() > 1
