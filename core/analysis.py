@@ -57,13 +57,19 @@ def reaches(met: np.ndarray, paths: int, share: np.ndarray | float) -> np.ndarra
 def by_counts(loop: Loop, min_share: float) -> CullingResult:
     """Keep what at least min_share of the paths meet; the score is that share.
 
+    Which share of the light is not known, for it passes boxes that too few paths asked for, is reported (`unknown_mean`, `unknown_worst`).
+
     Hysteresis over frames: what the last frame kept stays while it is met by min_share / options.hysteresis of them.
     """
     measured = loop.measured or loop.measure()
     feedback, met = measured.feedback, measured.met
     share = np.where(loop.kept, min_share / loop.options.hysteresis, min_share)
     keep = loop.pinned | (loop.active & reaches(met, feedback.paths, share))
-    return loop.result(keep, (met / max(feedback.paths, 1)).astype(np.float32), feedback.hits)
+    figures: dict[str, float | int] = {}
+    if loop.options.max_iterations > 1:  # else in real time, where each path counts
+        unknown = loop.unknown(measured.samples, 1)
+        figures = {"unknown_mean": float(unknown.mean()), "unknown_worst": float(unknown.max())}
+    return loop.result(keep, (met / max(feedback.paths, 1)).astype(np.float32), feedback.hits, (), **figures)
 
 
 def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> CullingResult:

@@ -29,6 +29,7 @@ from .path_log import RECORD, PathLog, renumber
 from .progress import Progress, part, silent
 from .regions import FANOUT, Cut, Regions
 from .scene import F32, F64, I32, I64, U8, RayType, Scene
+from .tiles import DARK
 from .tlas import Tlas
 from .tracer import Prepared, advanced, prepare, trace
 from .twins import Twins
@@ -339,6 +340,12 @@ class Loop:
                 break
             only, before = log.affected(np.zeros(len(tlas), bool)), tlas
         return Witness(tlas, log, first_sample, np.asarray(light * weights.unit, np.float64), np.asarray(weights.light[0] * weights.unit, np.float64))
+
+    def unknown(self, first_sample: int, samples: int) -> F64:
+        """(T,) share of each tile's light that so many fresh paths per pixel carry through boxes that are not opened."""
+        only: NDArray[np.uint8] = np.ones((self.size[1], self.size[0], samples), np.uint8)
+        witness = self.witness(first_sample, only, Budget(np.inf, np.inf))
+        return np.asarray(witness.unknown / np.maximum(witness.light, max(DARK * float(witness.light.mean()), 1e-30)))
 
     def _open(self, cut: Cut, feedback: Feedback) -> bool:
         """Open every box of a cut that a path crossed, and activate emitters that lit one. Returns whether there was any."""

@@ -75,7 +75,8 @@ class Report:
     with `FIELDS` and where measured `error`; missing fields count as 0. approximated: what the engine renders differently from Blender; warnings: other lines
     for the user. Both without repetitions, in order of appearance.
 
-    began: `time.monotonic()` when the command began, None where its seconds are those of its steps alone.
+    broken: a verification found that a frame's change is above its budget. began: `time.monotonic()` when the command began, None where its seconds are those
+    of its steps alone.
 
     A folder may be filled by several commands, one after the other or at the same time: the file keeps the frames of all that had the same header, but for
     the number of threads.
@@ -93,6 +94,7 @@ class Report:
     approximated: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     began: float | None = None
+    broken: bool = False
     _counted: float = field(default=0.0, init=False, repr=False)
 
     def add_frame(self, frame: dict[str, Any], approximated: Iterable[str] = (), warnings: Iterable[str] = ()) -> None:
@@ -109,6 +111,11 @@ class Report:
             if line not in known:
                 known.add(line)
                 lines.append(line)
+
+    @property
+    def status(self) -> int:
+        """Exit status of the command: 3 where a verification found a budget broken."""
+        return 3 if self.broken else 0
 
     def totals(self, frames: Sequence[dict[str, Any]] | None = None) -> dict[str, Any]:
         """Sums over frames, by default this command's, of seconds and of work done, the largest of bytes held, and the process's peak memory (0: unknown).
@@ -189,7 +196,8 @@ class Report:
         """How far the pictures may have changed, as the analysis found, and as --verify measured."""
         out = []
         measured = f"the same in crops, rendered by {self.engine or 'path'}"
-        for kind, text in (("calibrated", "the picture changes, as the analysis found"), ("verified", measured)):
+        sure = min((f["confidence"] for f in self.frames if "confidence" in f), default=0.0)
+        for kind, text in (("certified", f"with {100 * sure:.0f} % confidence the picture changes by no more than"), ("verified", measured)):
             found = [f for f in self.frames if f"{kind}_mean" in f]
             if found:
                 mean, worst = (max(f[f"{kind}_{what}"] for f in found) for what in ("mean", "worst"))

@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 
 from ..core.boxes import existing
+from ..core.budget import Budget
 from ..core.culling import CullOptions, State, heuristic
 from ..core.errors import Cancelled, NothingToAnalyse
 from ..core.files import alone, is_whole, sweep
@@ -37,7 +38,9 @@ if TYPE_CHECKING:
     from ..core.blas import BlasCache
     from ..core.frames import Shot
     from ..core.loop import CullingResult
+    from .verify import Verified
 
+ENFORCED = 4  # times that a frame is analysed again where a verification finds the budget broken, the last time with everything kept
 ANALYSIS_SHARE = 0.2  # of a frame's progress, where it is rendered too
 FRAME, SHOT = "frame", "shot"
 SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays", "iterations", "calibration_paths")  # over view layers, and what ends in _s
@@ -65,7 +68,7 @@ class Job:
     the set of the shot baked in. resume: leave frames alone that the folder has already. warm: a frame begins with what the one before it needed, and keeps
     what that kept as long as it is worth something (hysteresis); else frames decide by themselves, and ranges can be split. shot: the frames that a set is for,
     where `frames` are a part of them; other processes may do other parts into the same folder. verify: how many crops to render full as well, to state
-    the error that was measured (`verify`).
+    the error that was measured (`verify`). enforce: where that breaks the budget, analyse again with a tighter one, and in the end keep everything.
     """
 
     folder: Path
@@ -82,6 +85,7 @@ class Job:
     warm: bool = False
     shot: tuple[int, ...] = ()
     verify: int = 0
+    enforce: bool = False
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""
@@ -279,7 +283,8 @@ class Decided:
 def _decided(extraction: Extraction, result: CullingResult, entry: dict[str, Any]) -> Decided:
     scene, keys = extraction.scene, extraction.keys
     boxes = result.boxes + scene.origin
-    return Decided(result.state, result.score, result.hits, boxes, keys.records, keys.names, entry | result.stats, scene.approximated, extraction.warnings)
+    lines = scene.approximated, (*extraction.warnings, *result.warnings)
+    return Decided(result.state, result.score, result.hits, boxes, keys.records, keys.names, entry | result.stats, *lines)
 
 
 def decide_layers(sessions: Sequence[Session], frame: int, last: bool, progress: Progress = silent, cancelled: Cancel = never) -> Decided:
@@ -359,9 +364,60 @@ def run_frame(
 ) -> None:
     """One frame of a job, added to the report. last: nothing follows, so nothing need be kept for it. Raises InputError, Cancelled."""
     job = sessions[0].job
+    budget = job.options.max_error if job.verify and not job.options.by_counts else None
+    outcome = _done(sessions, frame, progress, cancelled, last)
+    for attempt in range(ENFORCED if job.enforce else 0):
+        if budget is None or not _broken(outcome.entry, budget):
+            break
+        tighter = _tightened(job, outcome.entry, attempt)
+        with ExitStack() as stack:
+            outcome = _done([stack.enter_context(session) for session in sessions_of(tighter)], frame, progress, cancelled, True)
+        outcome.entry["enforced"] = attempt + 1
+    if budget is not None and _broken(outcome.entry, budget):
+        report.broken = True
+        outcome = outcome.warned(_found(outcome.entry).warning(budget))
+    report.add_frame(outcome.entry, outcome.approximated, outcome.warnings)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a frame's work came to: its entry for the report, and lines for the user."""
+
+    entry: dict[str, Any]
+    approximated: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def warned(self, line: str) -> Outcome:
+        """With one line more."""
+        return replace(self, warnings=(*self.warnings, line))
+
+
+def _found(entry: dict[str, Any]) -> Verified:
+    from .verify import Verified
+
+    mean, worst, least_mean, least_worst = (float(entry.get(f"verified_{name}", 0.0)) for name in ("mean", "worst", "least_mean", "least_worst"))
+    return Verified(mean, worst, least_mean, least_worst, ())
+
+
+def _broken(entry: dict[str, Any], budget: Budget) -> bool:
+    """Whether a verification found that a frame's change is surely above a bound."""
+    return _found(entry).breaks(budget)
+
+
+def _tightened(job: Job, entry: dict[str, Any], attempt: int) -> Job:
+    """The job with a budget that is as much smaller as the engine's picture is above it, and by half more; at the last attempt without culling."""
+    if attempt == ENFORCED - 1:
+        return replace(job, options=replace(job.options, policy="none"))
+    found, budget = _found(entry), job.options.max_error
+    share = min(budget.mean / max(found.mean, 1e-9), budget.worst / max(found.worst, 1e-9), 1.0) / 2 ** (attempt + 1)
+    return replace(job, options=replace(job.options, max_error=Budget(share * budget.mean, share * budget.worst)))
+
+
+def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled: Cancel, last: bool) -> Outcome:
+    """Decide, render and verify a frame."""
+    job = sessions[0].job
     if job.whole:
-        report.add_frame(_render_whole(job, frame, progress))
-        return
+        return Outcome(_render_whole(job, frame, progress))
     if job.engine in ("", *BLENDER_ENGINES):
         within = part(progress, 0.0, ANALYSIS_SHARE if job.engine else 1.0)
         decided = decide_layers(sessions, frame, last, within, cancelled)
@@ -377,12 +433,10 @@ def run_frame(
             rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
             entry["render_s"] = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, rest)
             entry |= _verified(job, None, None, rest, cancelled)
-            report.add_frame(entry, approximated, warnings)
-        else:
-            report.add_frame(entry, decided.approximated, warnings)
-        return
+            return Outcome(entry, approximated, warnings)
+        return Outcome(entry, decided.approximated, warnings)
     decided = _by_ours(sessions[0], frame, progress, cancelled, last)
-    report.add_frame(decided.entry, decided.approximated, decided.warnings)
+    return Outcome(decided.entry, decided.approximated, decided.warnings)
 
 
 def _by_ours(session: Session, frame: int, progress: Progress, cancelled: Cancel, last: bool) -> Decided:

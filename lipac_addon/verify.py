@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.budget import Budget
 from ..core.culling import CullOptions
 from ..core.film import LUMINANCE
 from ..core.loop import Loop
@@ -26,20 +27,40 @@ from .pictures import read_picture
 
 GRID = (4, 3)  # crops of a picture, across and up: each has 4 x 3 coarse tiles
 PATH_SAMPLES = 64  # of the path tracer, at most
+PATH_SEED = 0x766572  # so that its random numbers are never those of an analysis
+NOISE = 3.0  # standard errors: what is above a bound by less may be noise
 Crop = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class Verified:
-    """Relative change of the coarse tiles of the crops: their mean, and the worst of them. crops: (K,) columns and rows of GRID, rows from the bottom."""
+    """Relative change of the coarse tiles of the crops: their mean, and the worst of them. crops: (K,) columns and rows of GRID, rows from the bottom.
+
+    least_mean, least_worst: what is left of both when NOISE standard errors of the pixels' differences are taken off.
+    """
 
     mean: float
     worst: float
+    least_mean: float
+    least_worst: float
     crops: tuple[Crop, ...]
 
     def entry(self) -> dict[str, object]:
         """For a frame of report.json."""
-        return {"verified_mean": self.mean, "verified_worst": self.worst, "verified_crops": [list(crop) for crop in self.crops]}
+        crops = [list(crop) for crop in self.crops]
+        least = {"verified_least_mean": self.least_mean, "verified_least_worst": self.least_worst}
+        return {"verified_mean": self.mean, "verified_worst": self.worst, **least, "verified_crops": crops}
+
+    def breaks(self, budget: Budget) -> bool:
+        """Whether the change is surely above a bound, whatever the noise of the crops."""
+        return self.least_mean > budget.mean or self.least_worst > budget.worst
+
+    def warning(self, budget: Budget) -> str:
+        """What to tell where it is."""
+        return (
+            f"verified: the picture changes by {100 * self.mean:.2g} % in the mean, {100 * self.worst:.2g} % in the worst tile, which is more than the "
+            f"{100 * budget.mean:.2g} % and {100 * budget.worst:.2g} % that --max-error allows; --enforce repeats the analysis until it is not"
+        )
 
 
 def random_crops(count: int, seed: int) -> tuple[Crop, ...]:
@@ -85,7 +106,7 @@ def _path_crops(
 ) -> tuple[list[F32], list[F32]]:
     """Each crop of a core scene by the path tracer, full and with only active, (N,) bool, in it: (h, w, 4) float32. Raises Cancelled."""
     height, width = scene.film.height, scene.film.width
-    loop = Loop(scene, CullOptions(width=width, seed=seed, threads=threads), cancelled)
+    loop = Loop(scene, CullOptions(width=width, seed=seed ^ PATH_SEED, threads=threads), cancelled)
     columns, rows = np.arange(width) * GRID[0] // width, np.arange(height) * GRID[1] // height
     places = [np.ix_(rows == y, columns == x) for x, y in crops]
     only = np.zeros((height, width, min(samples, PATH_SAMPLES)), np.uint8)
@@ -97,14 +118,26 @@ def _path_crops(
 
 def change(full: list[F32], culled: list[F32], crops: tuple[Crop, ...]) -> Verified:
     """The change between crops that were rendered full and culled."""
-    a, b = np.concatenate([_tiles(p) for p in full]), np.concatenate([_tiles(p) for p in culled])
-    size = np.abs(b - a) / np.maximum(a, max(DARK * float(a.mean()), 1e-30))
-    return Verified(float(size.mean()), float(size.max()), crops)
+    a = np.concatenate([_tiles(_luminance(p)) for p in full])
+    d = [_luminance(q) - _luminance(p) for p, q in zip(full, culled, strict=True)]
+    change, square, count = (np.concatenate([_tiles(x) for x in each]) for each in (d, [x**2 for x in d], [np.full(x.shape, 1 / _per_tile(x)) for x in d]))
+    light = np.maximum(a, max(DARK * float(a.mean()), 1e-30))
+    size, noise = np.abs(change) / light, NOISE * np.sqrt(np.maximum(square - change**2, 0.0) * count) / light
+    least_mean = max(float(size.mean() - np.sqrt((noise**2).sum()) / len(size)), 0.0)
+    return Verified(float(size.mean()), float(size.max()), least_mean, max(float((size - noise).max()), 0.0), crops)
 
 
-def _tiles(crop: F32) -> F64:
-    """Mean luminance of a crop's coarse tiles."""
-    luminance = crop[..., :3].astype(np.float64) @ LUMINANCE
+def _luminance(crop: F32) -> F64:
+    return np.asarray(crop[..., :3].astype(np.float64) @ LUMINANCE)
+
+
+def _per_tile(crop: F64) -> float:
+    """Pixels of a crop's coarse tiles, about."""
+    return max(crop.size / (COLUMNS // GRID[0] * (ROWS // GRID[1])), 1.0)
+
+
+def _tiles(luminance: F64) -> F64:
+    """Means over the coarse tiles of a crop's pixels (h, w)."""
     columns, rows = COLUMNS // GRID[0], ROWS // GRID[1]
     y, x = (np.arange(n) * of // n for n, of in zip(luminance.shape, (rows, columns), strict=True))
     tile = (y[:, None] * columns + x[None, :]).ravel()

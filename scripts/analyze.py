@@ -18,8 +18,7 @@ def main(argv: Sequence[str]) -> int:
     args = parser.parse_args(argv)
     if args.save is not None and args.bake != "shot":
         raise InputError("--save bakes one set for all frames into a copy of the scene: it goes with --bake shot")
-    do_frames(args, save=args.save)
-    return 0
+    return int(do_frames(args, save=args.save).status)
 
 
 if __name__ == "__main__":

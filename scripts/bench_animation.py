@@ -16,7 +16,7 @@ from ..core.budget import Budget
 from ..core.change import Change
 from ..core.culling import CullOptions
 from ..core.frames import Shot
-from ..core.judge import Judge
+from ..core.judge import TWO_SIDED_95, Judge
 from ..core.loop import LARGE, CullingResult, Loop
 from ..core.metrics import flicker
 from ..core.regions import Regions
@@ -106,7 +106,8 @@ def _crowd(figure: Path | None) -> dict[str, Any]:
             judge = Judge(scene, JUDGE_SAMPLES)
             error = judge.change(kept["culled"])
             floor = judge.noise_floor()["mean"]
-            errors.append({"frame": number, "mean": error.mean, "mean_ci": error.mean_ci, "worst": error.worst, "worst_ci": error.worst_ci, "seed": floor})
+            half = {"mean_ci": TWO_SIDED_95 * error.mean_deviation, "worst_ci": TWO_SIDED_95 * error.worst_deviation}
+            errors.append({"frame": number, "mean": error.mean, "worst": error.worst, **half, "seed": floor})
             del judge
         rows.append(row)
     loop = shots["whole"].loop

@@ -323,8 +323,8 @@ def feedback(_folder: Path) -> dict[str, Any]:
     Deciding: relative weights, the selection, states and hysteresis; not the trials, which trace again.
     """
     from ..core.budget import Savings, select
-    from ..core.calibration import Base
     from ..core.culling import CullOptions
+    from ..core.error_estimate import Reference
     from ..core.loop import Loop
     from ..core.tracer import trace
 
@@ -344,7 +344,7 @@ def feedback(_folder: Path) -> dict[str, Any]:
         return run
 
     def decide() -> None:
-        Base(measured.log)
+        Reference(measured.log)
         selection = select(measured.weights.relative(), Savings.among(mesh, loop.blas.bytes_of).share, budget.mean, budget.worst)
         keep = np.zeros(len(loop.active), bool)
         keep[tlas.ids[~selection.cull]] = True

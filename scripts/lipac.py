@@ -1,6 +1,6 @@
 """The `lipac` command: `lipac COMMAND ...`.
 
-Exit status: 0 success, 1 an error of ours, 2 unusable input, 130 stopped by Ctrl-C.
+Exit status: 0 success, 1 an error of ours, 2 unusable input, 3 done, but a verification found the error budget broken, 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations

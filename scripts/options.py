@@ -49,7 +49,8 @@ def scene_parser(command: str, description: str) -> Parser:
     parser.add_argument("--camera", metavar="NAME", help="camera to use; 'auto' frames the whole scene (default: the scene's)")
     culling = parser.add_argument_group("culling")
     culling.add_argument("--cull", choices=POLICIES, default="light-paths", help="what decides (default: %(default)s)")
-    culling.add_argument("--max-error", metavar="E[,T]", help="light-paths: share by which the picture, and its worst tile, may change")
+    error = "light-paths: share by which the mean of 16 x 9 tiles of the picture, and the worst of them, may change (default: 0.01; T: five times E)"
+    culling.add_argument("--max-error", metavar="E[,T]", help=error)
     culling.add_argument("--min-share", type=number, metavar="S", help="light-paths: instead of an error, keep what at least this share of paths meets")
     culling.add_argument("--paths", type=path_count, metavar="N", help="light-paths: paths per pixel of the analysis (default: as many as the error needs)")
     culling.add_argument("--solid-angle", type=number, metavar="DEG", help="solid-angle: keep what spans at least this angle")
@@ -66,6 +67,8 @@ def scene_parser(command: str, description: str) -> Parser:
     general = parser.add_argument_group("general")
     crops = "measure the error too: so many of 12 parts of the picture, picked at random, are rendered full and culled by the engine (default: 2)"
     general.add_argument("--verify", type=crop_count, nargs="?", const=2, default=0, metavar="N", help=crops)
+    again = "with --verify: where that finds more change than --max-error allows, analyse again with a tighter one; in the end everything stays"
+    general.add_argument("--enforce", action="store_true", help=again)
     general.add_argument("--seed", type=seed_number, default=0, metavar="S", help="of all random numbers (default: 0)")
     general.add_argument("--threads", type=thread_count, default=0, metavar="N", help="0: all cores (default)")
     general.add_argument("--quiet", action="store_true", help="no progress")
@@ -241,6 +244,10 @@ def check(args: argparse.Namespace) -> None:
         raise InputError("--shot goes with --frames that are a part of it")
     if args.verify and (args.bake == "shot" or getattr(args, "engine", "") == "hybrid"):
         raise InputError("--verify is for --bake frame, and for the engines cycles, eevee and path")
+    if args.enforce and not args.verify:
+        raise InputError("--enforce acts on what --verify measures: give both")
+    if args.enforce and (args.cull != "light-paths" or args.min_share is not None or args.warm):
+        raise InputError("--enforce keeps to --max-error: it goes with --cull light-paths, without --min-share and --warm")
     if args.verify and args.cull == "none":
         raise InputError("--verify measures what culling changes: with --cull none nothing does")
     if args.scene is not None and not args.scene.exists():
@@ -286,7 +293,7 @@ def do_frames(
         if scene.camera is None:
             raise InputError(f"scene '{scene.name}' has no camera: add one and make it active, or use --camera {AUTO} to frame everything")
         frames, mixed = args.frames or (scene.frame_current,), HybridOptions(**(hybrid or {}))
-        more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify)
+        more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify, args.enforce)
         job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more)
         report = new_report(args, job)
         report.began = began()

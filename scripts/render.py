@@ -23,8 +23,7 @@ def main(argv: Sequence[str]) -> int:
     hybrid.add_argument("--raster-samples", type=sample_count, default=8, metavar="N", help="EEVEE's samples per pixel (default: %(default)s)")
     args = parser.parse_args(argv)
     options = {"gi": args.gi, "primary": args.primary, "denoise": args.denoise == "on", "raster_samples": args.raster_samples}
-    do_frames(args, args.engine, args.samples, options)
-    return 0
+    return int(do_frames(args, args.engine, args.samples, options).status)
 
 
 if __name__ == "__main__":
