@@ -20,6 +20,7 @@ from .scene import F64, I32, RAY_TYPES, Scene
 from .tiles import TILES
 from .units import Units, units_of
 
+PRICELESS = 50.0  # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with more than that
 ATTEMPTS = 3  # at a certificate, each with twice the paths of the one before
 
 
@@ -141,7 +142,10 @@ def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     ids = measured.tlas.ids
     reluctance = np.where(loop.kept[ids], loop.options.hysteresis, 1.0)
     savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.counted_bytes, reluctance)
-    units = units_of(loop.regions, ids, measured.log.paths_met(len(ids)), measured.weights.relative(), loop.pinned)
+    worth = measured.weights.relative()
+    must = loop.pinned.copy()
+    must[ids[(worth > PRICELESS).any(axis=1)]] = True
+    units = units_of(loop.regions, ids, measured.log.paths_met(len(ids)), worth, must)
     reference = Reference(measured.log, _light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64)))
     log, trial = measured.log.copy(), PathLog.zeros(*measured.log.shape)
     loop.timer.add("feedback_s", start)
