@@ -36,7 +36,7 @@ def test_what_shows_through_stays(name: str, most: int, said: str | None, tmp_pa
     reports: dict[str, Any] = {}
     for policy in ("none", "light-paths"):
         folder = tmp_path / policy
-        main(["render", str(path), "-o", str(folder), "--engine", "cycles", "--cull", policy, "--resolution", "96x54", "--samples", "16", "--quiet"])
+        main(["render", str(path), "-o", str(folder), "--engine", "cycles", "--cull", policy, "--resolution", "128x72", "--samples", "16", "--quiet"])
         reports[policy] = json.loads((folder / "report.json").read_text())
     bpy.ops.wm.read_factory_settings(use_empty=True)
     picture = f"frame_{reports['none']['frames'][0]['frame']:04}.exr"
