@@ -89,17 +89,18 @@ def certified(loop: Loop, keeps: list[np.ndarray], budget: Budget, samples: int 
 
 
 def test_it_sees_what_was_never_built_and_agrees_with_brute_force() -> None:
-    """Nothing but the ground was built before: the change by all blades, against the judge's, within 4 deviations."""
+    """Nothing but the ground was built before: the change by all blades, against the judge's."""
     scene = meadow()
     keep = np.arange(len(scene.instances)) == 0
     loop = Loop(scene, CullOptions(width=SIZE[0]))
-    verdict = certified(loop, [keep], Budget(0.5, 3.0))
+    verdict = certified(loop, [keep], Budget(0.001, 0.005))
     truth = Judge(scene, 64).change(keep)
     assert loop.active.sum() > 1000  # opened for these paths
-    assert verdict.cull is not None
-    off = np.abs(verdict.estimate.tiles - truth.tiles) / np.hypot(verdict.estimate.deviation, truth.deviation)
-    assert off.max() < 4.5  # 144 tiles; what is larger than 4.5 comes once in a thousand runs
-    assert verdict.unknown.mean() <= 0.5 * TOLERATED
+    assert verdict.cull is None
+    # 144 tiles: what is larger than 4.5 deviations comes once in a thousand runs. The light of a tile, which changes are relative to, is known to 4 % by 288 paths.
+    chance = 4.5 * np.hypot(np.hypot(verdict.estimate.deviation, truth.deviation), 0.04 * truth.tiles)
+    assert (np.abs(verdict.estimate.tiles - truth.tiles) <= chance).all()
+    assert verdict.unknown.mean() <= 0.001 * TOLERATED
     assert verdict.estimate.mean > 0.02
 
 
