@@ -197,7 +197,7 @@ class Evaluation:
         for k, budget in enumerate(budgets()):
             options = replace(self.settings.options, max_error=budget, min_share=None)
             stats, arrays = self.analysis(options, part(progress, k / 4, (k + 1) / 4, f"error {budget.mean:.3g}, "))
-            predicted = {key: stats[key] for key in ("predicted_mean", "predicted_worst", "calibrated_mean", "calibrated_worst")}
+            predicted = {key: stats[key] for key in ("predicted_mean", "predicted_worst", "certified_mean", "certified_worst")}
             self.measure(OURS, budget.mean, arrays["active"], feedback_s=stats["feedback_s"], analysis_s=seconds(stats), **predicted)
 
     def random(self, progress: Progress = silent) -> None:
@@ -276,7 +276,7 @@ def budget_check(evaluation: Evaluation, seeds: int, progress: Progress = silent
             stats, arrays = evaluation.analysis(options)
             row = evaluation.changed(arrays["active"])
             case: Row = {"seed": seed, "error": budget.mean, "holds": holds(row, budget)} | row
-            cases.append(case | {key: stats[key] for key in ("active", "blas_bytes", "calibrated_mean", "calibrated_worst")})
+            cases.append(case | {key: stats[key] for key in ("active", "blas_bytes", "certified_mean", "certified_worst")})
     return {"seeds": seeds, "cases": len(cases), "holding": sum(c["holds"] for c in cases), "each": cases}
 
 

@@ -67,7 +67,7 @@ def in_question(result: CullingResult) -> float:
     changed much or nobody measured how much; between SURE and UNSURE in proportion, so that frames of a shot do not jump."""
     if not len(result.boxes):
         return 0.0
-    return float(np.clip((result.stats.get("calibrated_mean", np.inf) - SURE) / (UNSURE - SURE), 0.0, 1.0))
+    return float(np.clip((result.stats.get("certified_mean", np.inf) - SURE) / (UNSURE - SURE), 0.0, 1.0))
 
 
 def reference(scene: Scene, options: CullOptions, cancelled: Callable[[], bool]) -> F32:

@@ -584,7 +584,7 @@ def _render_kept(session: Session, frame: int, active: np.ndarray, entry: dict[s
 
     n, before = len(active), dict(entry)
     nothing = np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64)
-    changes = {name: before[name] for name in ("calibrated_mean",) if name in before}  # more is kept than what that was measured without
+    changes = {name: before[name] for name in ("certified_mean",) if name in before}  # more is kept than what that was measured without
     _hybrid(job, extraction, entry, progress, cancelled, lambda scene: Loop(scene, job.options, cancelled).result(active, *nothing, **changes))
     entry |= {name: before[name] for name in ("paths", "rays", "iterations", "trace_s", "feedback_s")}
 

@@ -38,8 +38,8 @@ def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
         ("Hitboxes", f"{int(stats['hitboxes']):,}"),
         ("Memory of the active", size(stats["blas_bytes"] + stats["tlas_bytes"])),
     ]
-    if "calibrated_mean" in stats:
-        for name, label in (("predicted", "Change, predicted"), ("calibrated", "Change, measured")):
+    for name, label in (("predicted", "Change, predicted"), ("certified", "Change, at most"), ("unknown", "Light not known")):
+        if name + "_mean" in stats:
             rows.append((label, f"{100 * stats[name + '_mean']:.2f} %, worst {100 * stats[name + '_worst']:.2f} %"))
     return rows
 
@@ -66,7 +66,7 @@ def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tu
     if reason.kept == reason.instances and _is_pinned(ob, bool(reason.paths.any())):
         why = "it is pinned"
     elif not reason.paths.any():
-        why = "no light path meets it"
+        why = "no light path meets it" if not reason.kept else "too few light paths looked there to let it go"
     elif not reason.kept:
         why = "few light paths meet it: losing it stays within the budget"
     else:

@@ -283,9 +283,9 @@ def test_question():
     def result(boxes: int, **stats: float) -> CullingResult:
         return CullingResult(one, one, one, np.zeros((boxes, 2, 3), np.float32), stats)  # type: ignore[arg-type]
 
-    assert in_question(result(0)) == in_question(result(3, calibrated_mean=0.01)) == 0
-    assert in_question(result(3)) == in_question(result(3, calibrated_mean=0.2)) == 1
-    between = [in_question(result(3, calibrated_mean=change)) for change in np.linspace(0.015, 0.035, 41)]
+    assert in_question(result(0)) == in_question(result(3, certified_mean=0.01)) == 0
+    assert in_question(result(3)) == in_question(result(3, certified_mean=0.2)) == 1
+    between = [in_question(result(3, certified_mean=change)) for change in np.linspace(0.015, 0.035, 41)]
     assert 0 < max(np.diff(between)) < 0.06
 
 

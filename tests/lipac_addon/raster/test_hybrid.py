@@ -317,7 +317,7 @@ def test_modes_cull(scene_file, tmp_path, mode):
         frames[gi] = json.loads((tmp_path / gi / "report.json").read_text())["frames"][0]
     assert frames[mode]["rays"] < frames["path"]["rays"]
     assert frames[mode]["active"] <= frames["path"]["active"] <= frames[mode]["instances"]
-    assert frames[mode]["calibrated_mean"] <= 0.05
+    assert frames[mode]["certified_mean"] <= 0.05
 
 
 def test_frames_follow_each_other(scene_file, tmp_path):

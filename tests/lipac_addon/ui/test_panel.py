@@ -97,12 +97,12 @@ def test_libraries_that_python_cannot_find(monkeypatch):
 
 def test_figures(analyzed):
     result = results.at(analyzed)
-    result.stats.update(blas_bytes=3 << 20, tlas_bytes=1 << 19, predicted_mean=0.002, predicted_worst=0.01, calibrated_mean=0.004, calibrated_worst=0.02)
+    result.stats.update(blas_bytes=3 << 20, tlas_bytes=1 << 19, predicted_mean=0.002, predicted_worst=0.01, certified_mean=0.004, certified_worst=0.02)
     rows = dict(figures.rows_of(result))
     assert rows["Instances"] == "10"
     assert rows["Memory of the active"] == "3.5 MiB"
     assert rows["Change, predicted"] == "0.20 %, worst 1.00 %"
-    assert rows["Change, measured"] == "0.40 %, worst 2.00 %"
+    assert rows["Change, at most"] == "0.40 %, worst 2.00 %"
     assert [figures.size(n) for n in (0, 1023, 1024, 5 << 30)] == ["0 B", "1023 B", "1.0 KiB", "5.0 GiB"]
 
 
