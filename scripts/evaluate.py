@@ -1,4 +1,6 @@
-"""`lipac evaluate SCENE -o DIR`: speed against error for every culling policy. Also `--all`: every scene, as docs/results.md has them."""
+"""`lipac evaluate SCENE -o DIR`: speed against error for every culling policy. Also `--all`: every scene, as docs/results.md has them; and `--family N`: do
+budgets hold on random scatters.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +17,7 @@ from ..core.progress import Progress, part
 from .machine import machine
 
 SIZE = (320, 180)
+SAMPLES, FAMILY_SAMPLES, FAMILY_THREADS = 16, 64, 2
 SUPPLIED = Path(__file__).parents[2] / "shared" / "scenes"
 SCENES = ("rooms1024.blend", "candela_city.blend", "kitchen.blend", "indoor.blend")
 DEMOS = {"mirror-city": 20_000, "crowd": 500}
@@ -33,18 +36,27 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--scenes", type=Path, default=SUPPLIED, metavar="DIR", help="with --all: where the supplied scenes are")
     parser.add_argument("--camera", metavar="NAME", help="camera to use (default: the scene's)")
     parser.add_argument("--resolution", type=resolution, default=SIZE, metavar="WxH", help="size of the pictures (default: 320x180)")
-    parser.add_argument("--samples", type=path_count, default=16, metavar="N", help="paths per pixel of the judge (default: %(default)s)")
+    parser.add_argument("--samples", type=path_count, metavar="N", help=f"paths per pixel of the judge (default: {SAMPLES}; with --family: {FAMILY_SAMPLES})")
     parser.add_argument("--cycles", action="store_true", help="also render full and culled by Cycles: seconds and peak memory")
     parser.add_argument("--budget-check", type=count, metavar="SEEDS", help="also: does the error stay in the budget, over so many seeds")
     parser.add_argument("--ray-budget", action="store_true", help="also: how many paths the states need")
-    parser.add_argument("--threads", type=thread_count, default=0, metavar="N", help="0: all cores (default)")
+    family = parser.add_argument_group("--family: does the budget hold, on random scatters, each with a budget of its own, judged by Cycles")
+    family.add_argument("--family", type=count, metavar="N", help="so many scenes, in place of SCENE; lipac demo family --seed K writes one of them")
+    family.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first scene (default: %(default)s)")
+    family.add_argument("--jobs", type=count, metavar="N", help="scenes at a time (default: as many as there are cores for)")
+    family.add_argument("--instances", type=count, metavar="N", help="rows of each scatter (default: as its seed draws)")
+    family.add_argument("--time-limit", type=count, default=300, metavar="S", help="seconds for one scene (default: %(default)s)")
+    family.add_argument("--stop-after", type=count, metavar="S", help="seconds after which no scene is begun; the same command goes on from there")
+    parser.add_argument("--threads", type=thread_count, default=0, metavar="N", help="0: all cores (default); with --family: of each job (default: 2)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     args = parser.parse_args(argv)
     folder = output_folder(args.output)
     if args.all:
         return everything(args, folder)
+    if args.family:
+        return random_scenes(args, folder)
     if args.scene is None:
-        raise InputError("SCENE is missing: name a scene file, or use --all")
+        raise InputError("SCENE is missing: name a scene file, or use --all or --family")
     if not args.scene.exists():
         raise InputError(f"no such file: {args.scene}")
     from .options import ctrl_c, progress_of
@@ -53,6 +65,24 @@ def main(argv: Sequence[str]) -> int:
         summary = evaluate(args, folder, progress, cancelled)
     print((folder / "report.md").read_text() if not args.quiet else json.dumps(summary["equal_error"]))
     return 0
+
+
+def random_scenes(args: argparse.Namespace, folder: Path) -> int:
+    """The scenes of `--family`; returns the exit status."""
+    from . import family
+
+    if args.scene is not None or args.first < 0:
+        raise InputError("--family makes its own scenes, by seeds from --first up: name no SCENE, and give --first a number from 0 up")
+    threads = args.threads or FAMILY_THREADS
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    plan = family.Plan(args.resolution, args.samples or FAMILY_SAMPLES, threads, args.time_limit, args.instances)
+
+    def tell(line: str) -> None:
+        if not args.quiet:
+            print(line, file=sys.stderr, flush=True)
+
+    seeds = range(args.first, args.first + args.family)
+    return family.main(seeds, folder, plan, args.jobs or max(cores // threads, 1), args.stop_after or float("inf"), tell)
 
 
 def extracted(args: argparse.Namespace) -> Any:
@@ -81,7 +111,7 @@ def evaluate(args: argparse.Namespace, folder: Path, progress: Progress, cancell
 
     progress(0.0, "opening the scene")
     scene = extracted(args)
-    settings = core.Settings(samples=args.samples, threads=args.threads)
+    settings = core.Settings(samples=args.samples or SAMPLES, threads=args.threads)
     evaluation = core.Evaluation(scene, settings, folder / PIECES, part(progress, 0.0, 0.05), cancelled)
     evaluation.run(part(progress, 0.05, 0.9))
     summary: dict[str, Any] = {
@@ -125,7 +155,7 @@ def everything(args: argparse.Namespace, folder: Path) -> int:
 
     worst = 0
     own = [a for a in ("--cycles", "--ray-budget", "--quiet") if getattr(args, a[2:].replace("-", "_"))]
-    own += ["--resolution", f"{args.resolution[0]}x{args.resolution[1]}", "--samples", str(args.samples), "--threads", str(args.threads)]
+    own += ["--resolution", f"{args.resolution[0]}x{args.resolution[1]}", "--samples", str(args.samples or SAMPLES), "--threads", str(args.threads)]
     own += ["--budget-check", str(args.budget_check)] if args.budget_check else []
     for name, scene in scenes(args.scenes, folder):
         print(f"{name}", file=sys.stderr, flush=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...core.errors import InputError
-from . import crowd, flythrough, mirror_city
+from . import crowd, family, flythrough, mirror_city
 
-SCENES = {"mirror-city": mirror_city.build, "flythrough": flythrough.build, "crowd": crowd.build}
+SCENES = {"mirror-city": mirror_city.build, "flythrough": flythrough.build, "crowd": crowd.build, "family": family.build}
 
 
 def build(name: str, instances: int | None = None, seed: int = 0, figure: Path | None = None) -> None:

@@ -43,20 +43,25 @@ def mesh(name: str, solid: Solid, materials: Sequence[bpy.types.Material]) -> bp
     return data
 
 
-def scatter(name: str, sources: Sequence[bpy.types.Object], points: np.ndarray, kind: np.ndarray, turn: np.ndarray, size: np.ndarray) -> bpy.types.Object:
-    """An object whose geometry nodes place `sources[kind[i]]` at `points[i]`, turned about Z and scaled, for every i.
+def scatter(
+    name: str, sources: Sequence[bpy.types.Object | bpy.types.Collection], points: np.ndarray, kind: np.ndarray, turn: np.ndarray, size: np.ndarray
+) -> bpy.types.Object:
+    """An object whose geometry nodes place `sources[kind[i]]` at `points[i]`, turned and scaled, for every i.
 
-    points (N, 3) metres, kind (N,) index, turn (N,) radians, size (N,) factor. The instances are rows 0..N-1 of the object's instance cloud.
+    sources: objects, or collections, which come as wholes. points (N, 3) metres, kind (N,) index, turn (N,) radians about Z or (N, 3) Euler angles, size (N,)
+    factor. The instances are rows 0..N-1 of the object's instance cloud.
     """
     library = bpy.data.collections.new(f"{name} parts")  # linked to no scene: its objects appear as instances only
     for k, source in enumerate(sources):
         source.name = f"{k:02d} {source.name}"  # Collection Info sorts children by name
-        library.objects.link(source)
+        (library.children if isinstance(source, bpy.types.Collection) else library.objects).link(source)
     data = bpy.data.meshes.new(name)
     data.vertices.add(len(points))
     data.vertices.foreach_set("co", points.ravel().astype(np.float32))
-    for attribute, type_, values in (("kind", "INT8", kind), ("turn", "FLOAT", turn), ("size", "FLOAT", size)):
+    for attribute, type_, values in (("kind", "INT8", kind), ("size", "FLOAT", size)):
         data.attributes.new(attribute, type_, "POINT").data.foreach_set("value", values.astype(np.int8 if type_ == "INT8" else np.float32))
+    turns = turn if turn.ndim == 2 else np.column_stack([np.zeros((len(turn), 2)), turn])
+    data.attributes.new("turn", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", turns.ravel().astype(np.float32))
     host = bpy.data.objects.new(name, data)
     bpy.context.scene.collection.objects.link(host)
     host.modifiers.new("Scatter", "NODES").node_group = _scatter_nodes(name, library)
@@ -84,7 +89,6 @@ def _scatter_nodes(name: str, library: bpy.types.Collection) -> bpy.types.NodeTr
     sink = node("NodeGroupOutput", 400, 200)
     parts = node("GeometryNodeCollectionInfo", -300, 60)
     place = node("GeometryNodeInstanceOnPoints", 100, 200)
-    angle = node("ShaderNodeCombineXYZ", -300, -200)
     parts.inputs["Collection"].default_value = library
     parts.inputs["Separate Children"].default_value = True
     parts.inputs["Reset Children"].default_value = True
@@ -93,8 +97,7 @@ def _scatter_nodes(name: str, library: bpy.types.Collection) -> bpy.types.NodeTr
         (source.outputs[0], place.inputs["Points"]),
         (parts.outputs[0], place.inputs["Instance"]),
         (attribute("kind", "INT", -60), place.inputs["Instance Index"]),
-        (attribute("turn", "FLOAT", -220), angle.inputs["Z"]),
-        (angle.outputs[0], place.inputs["Rotation"]),
+        (attribute("turn", "FLOAT_VECTOR", -220), place.inputs["Rotation"]),
         (attribute("size", "FLOAT", -380), place.inputs["Scale"]),
         (place.outputs[0], sink.inputs[0]),
     )
