@@ -22,12 +22,13 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
+COMMAND = (sys.executable, "-m", "lipac.scripts.family")  # of a child process
 RENEWED = 25  # scenes after which a process is replaced by a new one: what leaks does so no further
 START_LIMIT = 600.0  # seconds for a process to be ready; the first one may have to compile the kernels
 MARK = "lipac-family "  # before what a child process has to say
 BUDGETS = (0.003, 0.006, 0.012, 0.025, 0.06)  # of the mean: bins of the table
 PIXELS = (0.1, 0.5, 2.0, 10.0, 100.0)
-COLUMNS = ("scenes", "runs", "held", "surely held", "mean held", "worst tile held", "beyond twice", "detail held", "kept, median", "analysis to 64 samples, median")
+COLUMNS = ("scenes", "runs", "held", "surely held", "mean held", "worst tile held", "beyond twice", "detail held", "kept, median", "analysis to Cycles, median")
 BROKEN = ("seed", "kind", "instances", "pixels", "budget", "luminance, colour: mean", "worst tile", "times the budget, surely")
 NOTE = """
 Held: not surely broken by luminance or colour, noise taken off (3 standard errors); surely held: the upper end is within the budget too. Detail: beside it.
@@ -63,9 +64,9 @@ class Child:
         self.plan, self.done = plan, 0
         limited = {name: str(plan.threads) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
         given = json.dumps({"size": plan.size, "samples": plan.samples, "threads": plan.threads, "instances": plan.instances, "number": number})
-        command = [sys.executable, "-m", "lipac.scripts.family", given]
         self._log: list[str] = []
-        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | limited)
+        pipe, environment = subprocess.PIPE, os.environ | limited
+        self.process = subprocess.Popen([*COMMAND, given], stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment)
         threading.Thread(target=self._read_errors, daemon=True).start()
         if (answer := self._answer(START_LIMIT)) is None or answer.get("ready") is not True:
             self.end()

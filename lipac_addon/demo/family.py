@@ -52,7 +52,7 @@ def draw(seed: int) -> Draw:
     name = str(rng.choice(list(KINDS)))
     kind = KINDS[name]
     pixels = _log_uniform(rng, SMALLEST, kind.largest)
-    most = max(kind.layers * SIZE[0] * SIZE[1] / pixels**2, FEWEST / 3)
+    most = kind.layers * SIZE[0] * SIZE[1] / pixels**2
     count = round(min(_log_uniform(rng, FEWEST, MOST), most))
     mean = _log_uniform(rng, *BUDGETS)
     spread = SPREAD if rng.random() < 0.75 else _log_uniform(rng, *SPREADS)

@@ -45,7 +45,7 @@ def test_noise_is_no_change_and_does_not_hide_one(grey: np.ndarray) -> None:
     for seed in range(40):
         for change in judged(grey, grey, noise=0.3, seed=seed).values():
             assert change.mean.low < 1e-3
-            assert change.worst.low < 0.02
+            assert change.worst.low < 0.08  # of 0.045 standard errors, in the worst of 144 tiles
         luminance = judged(grey, grey * 1.1, noise=0.3, seed=seed)["luminance"]
         assert luminance.mean.low < 0.1 < luminance.mean.high
         assert luminance.mean.high - luminance.mean.low < 0.05
