@@ -27,7 +27,7 @@ PIECES = "build"  # folder of finished pieces, which need not be kept
 def main(argv: Sequence[str]) -> int:
     """Evaluate what the command line says; returns the exit status."""
     from ..core.report import output_folder
-    from .options import Parser, count, path_count, resolution, thread_count
+    from .options import Parser, count, path_count, resolution, seed_number, thread_count
 
     parser = Parser(prog="lipac evaluate", description="Measure cost and error of every culling policy. What is already measured in DIR is kept.")
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help="a scene file, as for lipac render")
@@ -42,7 +42,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--ray-budget", action="store_true", help="also: how many paths the states need")
     family = parser.add_argument_group("--family: does the budget hold, on random scatters, each with a budget of its own, judged by Cycles")
     family.add_argument("--family", type=count, metavar="N", help="so many scenes, in place of SCENE; lipac demo family --seed K writes one of them")
-    family.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first scene (default: %(default)s)")
+    family.add_argument("--first", type=seed_number, default=0, metavar="SEED", help="seed of the first scene (default: %(default)s)")
     family.add_argument("--jobs", type=count, metavar="N", help="scenes at a time (default: as many as there are cores for)")
     family.add_argument("--instances", type=count, metavar="N", help="rows of each scatter (default: as its seed draws)")
     family.add_argument("--time-limit", type=count, default=300, metavar="S", help="seconds for one scene (default: %(default)s)")
@@ -71,8 +71,8 @@ def random_scenes(args: argparse.Namespace, folder: Path) -> int:
     """The scenes of `--family`; returns the exit status."""
     from . import family
 
-    if args.scene is not None or args.first < 0:
-        raise InputError("--family makes its own scenes, by seeds from --first up: name no SCENE, and give --first a number from 0 up")
+    if args.scene is not None:
+        raise InputError("--family makes its own scenes: name no SCENE")
     threads = args.threads or FAMILY_THREADS
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     plan = family.Plan(args.resolution, args.samples or FAMILY_SAMPLES, threads, args.time_limit, args.instances)

@@ -103,6 +103,7 @@ def test_unusable_numbers_are_refused(instances: int | None, seed: int) -> None:
         build("family", instances, seed)
 
 
+@pytest.mark.slow
 def test_budgets_hold_on_a_few_dozen() -> None:
     """Judged by the path tracer, by pairs of pictures whose random numbers no analysis had. Budgets are used, too: a quarter would often not do."""
     times, kept = {}, []
