@@ -3,8 +3,9 @@
 The error of a coarse tile is the larger of two relative changes: that of its mean luminance, and the mean absolute change of colour over its blocks of BLOCK x
 BLOCK pixels of the analysis picture. The second sees what the first does not: red for green of equal luminance, a pattern for its mean.
 
-Absolute values of noisy figures are too large. So signs, and directions of colour, are taken from one half of the paths and applied to the other half: noise of
-the two halves is independent and averages out (cross-fitting). What no path shows to be a change counts by its deviation alone.
+Absolute values of noisy figures are too large, above all of many small blocks. So there signs, and directions of colour, are taken from one half of the paths and
+applied to the other half, whose noise is independent (cross-fitting); that shrinks what is below the noise, which the deviation covers for one tile. For the mean of
+all tiles, where it would add up, squares are estimated by products of the two halves.
 """
 
 from __future__ import annotations
@@ -34,11 +35,13 @@ _TINY = 1e-30
 class ErrorEstimate:
     """Relative change of the coarse tiles of a picture.
 
-    error: (T,) float64, estimate of each tile's; noise may take it below 0. deviation: (T,) float64 standard deviation of that. owed: (T,) float64 change that
-    is charged on top without having been measured.
+    error: (T,) float64, estimate of each tile's, for the worst of them. average: (T,) the same for the mean of them: what noise may have shrunk in one tile must
+    not add up over all. deviation: (T,) float64 standard deviation of the tiles' light. owed: (T,) float64 change that is charged on top without having been
+    measured.
     """
 
     error: F64
+    average: F64
     deviation: F64
     owed: F64
 
@@ -50,7 +53,7 @@ class ErrorEstimate:
     @property
     def mean(self) -> float:
         """Over the tiles."""
-        return max(float(self.tiles.mean()), 0.0)
+        return float((self.average + self.owed).mean())
 
     @property
     def worst(self) -> float:
@@ -69,7 +72,7 @@ class ErrorEstimate:
 
     def upper_mean(self, confidence: float = CONFIDENCE) -> float:
         """What the mean does not exceed, with this confidence."""
-        return max(float(self.tiles.mean()) + _quantile(confidence) * self.mean_deviation, 0.0)
+        return self.mean + _quantile(confidence) * self.mean_deviation
 
     def upper_worst(self, confidence: float = CONFIDENCE) -> float:
         """What no tile exceeds, with this confidence for all of them together: tiles far below it cost nothing (normal errors, independent by tile)."""
@@ -117,13 +120,13 @@ class ErrorEstimate:
         """Whether so many times the paths of each tile, (T,), in doubtful ones might show that both bounds hold: were tiles better than estimated by one
         deviation."""
         tiles = self.doubtful(budget, confidence)
-        better = ErrorEstimate(
-            np.where(tiles, self.error - self.deviation, self.error), np.where(tiles, self.deviation / np.sqrt(factor), self.deviation), self.owed
-        )
+        less = np.where(tiles, self.deviation, 0.0)
+        fewer = np.where(tiles, self.deviation / np.sqrt(factor), self.deviation)
+        better = ErrorEstimate(self.error - less, np.maximum(self.average - less, 0.0), fewer, self.owed)
         return better.surely_holds(budget, confidence)
 
 
-NOTHING = ErrorEstimate(np.zeros(TILES), np.zeros(TILES), np.zeros(TILES))
+NOTHING = ErrorEstimate(*np.zeros((4, TILES)))
 
 
 def _quantile(confidence: float) -> float:
@@ -257,28 +260,36 @@ class Light:
         """
         owed = np.zeros(TILES) if owed is None else owed
         if not difference.pixels.any():
-            return ErrorEstimate(np.zeros(TILES), np.zeros(TILES), owed)
+            return ErrorEstimate(*np.zeros((3, TILES)), owed)
         tile = tiles_of(self.height, self.width).ravel()
         luminance = difference.pixels @ LUMINANCE / self.luminance[tile]  # (2, P)
         color = difference.pixels / self.brightness[tile][None, :, None]
-        by_tile = np.stack([np.bincount(tile, half, TILES) for half in luminance])
-        error = by_tile[0] * np.sign(by_tile[1]) + by_tile[1] * np.sign(by_tile[0])
-        error = np.maximum(error, self._detail(color))
+        whole = np.stack([np.bincount(tile, color[:, :, c].sum(axis=0), TILES) for c in range(3)])
+        error = np.maximum(np.abs(np.bincount(tile, luminance.sum(axis=0), TILES)), np.sqrt((whole**2).mean(axis=0)))
+        sure, mean_square = self._detail(color)
         strata = np.stack([np.bincount(tile, x, TILES) for x in (luminance.sum(axis=0) ** 2, (color.sum(axis=0) ** 2).mean(axis=1))])
         samples = np.maximum(self.paths / np.maximum(np.bincount(tile, minlength=TILES), 1), 1.0)  # per pixel, in each tile
         variance = difference.squares / np.stack([self.luminance, self.brightness]) ** 2
         several = samples > 1
         variance = np.where(several, (variance - strata / samples) * (samples / np.maximum(samples - 1, 1)), variance)
-        return ErrorEstimate(error, np.sqrt(np.maximum(variance.max(axis=0), 0.0) + self.paths**-2.0), owed)
+        deviation = np.sqrt(np.maximum(variance.max(axis=0), 0.0) + self.paths**-2.0)
+        return ErrorEstimate(np.maximum(error, sure), np.maximum(error, mean_square), deviation, owed)
 
-    def _detail(self, color: F64) -> F64:
-        """(T,) mean absolute change of colour over the blocks of each tile: color is (2, P, 3), relative change by halves of the samples."""
+    def _detail(self, color: F64) -> tuple[F64, F64]:
+        """Mean absolute change of colour over the blocks of each tile: color is (2, P, 3), relative change by halves of the samples.
+
+        Twice (T,): by cross-fitting, which noise shrinks by no more than the deviations that are added to a tile; and one that noise does not shrink, the
+        smaller of two that are too large: the absolute values as they are, and the root of the mean square by products of the halves, free of noise.
+        """
         block, tile = _blocks(self.height, self.width)
         sums = np.stack([[np.bincount(block, half[:, c], len(tile)) for c in range(3)] for half in color])  # (2, 3, B)
         size = np.sqrt((sums**2).mean(axis=1))
+        product = (sums[0] * sums[1]).mean(axis=0)
         inverse = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0).sum(axis=0)
-        common = np.where((size > 0).all(axis=0), (sums[0] * sums[1]).mean(axis=0) * inverse, 0.0)
-        return np.bincount(tile, common, TILES)
+        fitted = np.bincount(tile, np.where((size > 0).all(axis=0), product * inverse, 0.0), TILES)
+        absolute = np.bincount(tile, np.sqrt((sums.sum(axis=0) ** 2).mean(axis=0)), TILES)
+        squares = 4 * np.bincount(tile, product, TILES) * np.bincount(tile, minlength=TILES)
+        return fitted, np.minimum(absolute, np.sqrt(np.maximum(squares, 0.0)))
 
 
 @lru_cache(maxsize=8)
