@@ -3,9 +3,9 @@
 The error of a coarse tile is the larger of two relative changes: that of its mean luminance, and the mean absolute change of colour over its blocks of BLOCK x
 BLOCK pixels of the analysis picture. The second sees what the first does not: red for green of equal luminance, a pattern for its mean.
 
-Absolute values of noisy figures are too large, above all of many small blocks. So there signs, and directions of colour, are taken from one half of the paths and
-applied to the other half, whose noise is independent (cross-fitting); that shrinks what is below the noise, which the deviation covers for one tile. For the mean of
-all tiles, where it would add up, squares are estimated by products of the two halves.
+Absolute values of noisy figures are too large, above all of many small blocks. So there signs, and directions of colour, are taken from one half of the paths
+and applied to the other half, whose noise is independent (cross-fitting); that shrinks what is below the noise, which the deviation covers for one tile. For
+the mean of all tiles, where it would add up, squares are estimated by products of the two halves.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _TINY = 1e-30
 class ErrorEstimate:
     """Relative change of the coarse tiles of a picture.
 
-    error: (T,) float64, estimate of each tile's, for the worst of them. average: (T,) the same for the mean of them: what noise may have shrunk in one tile must
-    not add up over all. deviation: (T,) float64 standard deviation of the tiles' light. owed: (T,) float64 change that is charged on top without having been
-    measured.
+    error: (T,) float64, estimate of each tile's, for the worst of them. average: (T,) the same for the mean of them: what noise may have shrunk in one tile
+    must not add up over all. deviation: (T,) float64 standard deviation of the tiles' light. owed: (T,) float64 change that is charged on top without having
+    been measured.
     """
 
     error: F64

@@ -68,7 +68,9 @@ def test_a_pattern_for_its_mean_counts() -> None:
 
 
 def test_a_deviation_is_that_of_repetitions() -> None:
-    """Paths that differ at random: the deviation that one measurement states is that of the scatter of many, within a fifth (40 x 144 tiles: a few per cent)."""
+    """Paths that differ at random: the deviation that one measurement states is that of the scatter of many, within a fifth (40 x 144 tiles: a few per
+    cent).
+    """
     rng = np.random.default_rng(3)
     log = full(8)
     stated, scatter = [], []
@@ -84,8 +86,8 @@ def test_a_deviation_is_that_of_repetitions() -> None:
 @pytest.mark.parametrize("change", [0.0, 0.02, 0.05, 0.1, 0.3])
 @pytest.mark.parametrize("share", [1.0, 0.1])
 def test_many_changes_below_the_noise_add_up(change: float, share: float) -> None:
-    """A share of the blocks change by so much, up or down, under noise of 8 paths a pixel that is as large as the light: 12 % of a block, 6 % of a tile. The mean of the
-    tiles is not taken for smaller than it is, whether or not any single one shows it; a set without noise is measured exactly."""
+    """A share of the blocks change by so much, up or down, under noise of 8 paths a pixel that is as large as the light: 12 % of a block, 6 % of a tile. The
+    mean of the tiles is not taken for smaller than it is, whether or not any single one shows it; a set without noise is measured exactly."""
     rng = np.random.default_rng(8)
     log = full(8)
     y, x = np.arange(HEIGHT) // BLOCK, np.arange(WIDTH) // BLOCK
