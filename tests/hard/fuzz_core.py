@@ -92,9 +92,12 @@ def _mesh(choose: Seeded) -> s.Mesh:
     return s.Mesh(positions, triangles)
 
 
+SIMPLE = [shader for shader in s.Shader if shader < s.Shader.MIX]  # a composed one has parts: with itself among them a path would never end
+
+
 def _material(choose: Seeded) -> s.Records:
     rng = choose.numbers()
-    m = material(choose.one(list(s.Shader)), base_color=rng.random(3), roughness=choose.one((0.0, 1e-4, 0.3, 1.0)), metallic=choose.one((0.0, 1.0, 0.5)))
+    m = material(choose.one(SIMPLE), base_color=rng.random(3), roughness=choose.one((0.0, 1e-4, 0.3, 1.0)), metallic=choose.one((0.0, 1.0, 0.5)))
     m["ior"], m["transmission"], m["coat"] = choose.one((1.0, 1.5, 3.0, 0.5)), choose.one((0.0, 1.0, 0.5)), choose.one((0.0, 1.0))
     m["alpha"] = choose.one((1.0, 1.0, 0.0, 0.5))
     if choose.integer(0, 3) == 3 or m["shader"] == s.Shader.EMISSION:
