@@ -146,7 +146,7 @@ def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     must = loop.pinned.copy()
     must[ids[(worth > PRICELESS).any(axis=1)]] = True
     units = units_of(loop.regions, ids, measured.log.paths_met(len(ids)), worth, must)
-    reference = Reference(measured.log, _light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64)))
+    reference = Reference(measured.log, light=_light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64)))
     log, trial = measured.log.copy(), PathLog.zeros(*measured.log.shape)
     loop.timer.add("feedback_s", start)
 

@@ -18,7 +18,7 @@ ANALYSIS = 64
 
 @pytest.fixture(scope="module")
 def states() -> States:
-    """The analysis of a small city at a budget of nothing, and the brute-force counts. The measured paths are among the brute-force ones."""
+    """The analysis of a small city at a budget of little, and the brute-force counts. The measured paths are among the brute-force ones."""
     import bpy
 
     from lipac.lipac_addon import demo
@@ -32,7 +32,7 @@ def states() -> States:
     loop = Loop(scene, CullOptions(width=48, paths=ANALYSIS))
     loop.run()
     loop.measured = None  # measured anew, by the first samples of the brute-force run
-    result = by_budget(loop, Budget(0.0, 0.0))
+    result = by_budget(loop, Budget(0.01, 0.05))
     brute = Loop(scene, CullOptions(width=48))
     brute.active = brute.exists.copy()
     brute.next_sample = 0
