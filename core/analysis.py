@@ -78,7 +78,7 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
 
     What each instance is worth alone does not say what many are worth together, nor what lies behind them: `calibration` traces without them and finds out.
     The sets that it finds are then judged by paths that chose none of them. Where even the smallest of them may break the budget, these paths have met what the
-    others did not: all is measured again, by twice as many. In the end what is not certified stays.
+    others did not: all is measured again, by twice as many; once also where nothing may go, though the search says so. In the end what is not certified stays.
 
     Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that uses up the budget or all but a factor of
     options.hysteresis; else what it kept goes only where others would save so many times less for the same change.
@@ -95,7 +95,8 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
 
         loop.include(keep_of(steps[0].cull))
         verdict = Certificate(loop, measured.samples, samples, budget).walk(refined(steps, units), units, keep_of, part(within, 0.5, 0.9))
-        if verdict.cull is not None or attempt == attempts - 1:
+        fruitless = verdict.cull is None or (attempt == 0 and len(steps) > 1 and not verdict.cull.any())
+        if not fruitless or attempt == attempts - 1:
             break
         measured, samples = loop.measure_more(measured, part(within, 0.9, 1.0)), measured.samples
     return _decided(loop, measured, units, steps, verdict, searched)

@@ -44,8 +44,8 @@ def test_what_shows_nowhere_is_culled(states: States) -> None:
     result, brute = states
     met = brute.hits.sum(axis=1)
     assert (met == 0).sum() > 1000  # most of the city
-    # Measuring without the culled cannot meet more than brute force does, but for rays that end on something culled: those see what is behind it.
-    assert (result.active & (met == 0)).sum() <= 2
+    # What no path meets stays only with its region, where that was met too thinly to be told apart from it.
+    assert (result.active & (met == 0)).sum() <= 0.05 * (met == 0).sum()
     assert result.active.sum() < 0.2 * len(met)
 
 
