@@ -260,7 +260,7 @@ class Light:
         """
         owed = np.zeros(TILES) if owed is None else owed
         if not difference.pixels.any():
-            return ErrorEstimate(*np.zeros((3, TILES)), owed)
+            return ErrorEstimate(np.zeros(TILES), np.zeros(TILES), np.zeros(TILES), owed)
         tile = tiles_of(self.height, self.width).ravel()
         luminance = difference.pixels @ LUMINANCE / self.luminance[tile]  # (2, P)
         color = difference.pixels / self.brightness[tile][None, :, None]

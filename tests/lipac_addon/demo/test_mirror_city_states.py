@@ -11,14 +11,14 @@ from lipac.core.feedback import Feedback
 from lipac.core.loop import CullingResult, Loop
 from lipac.core.scene import RayType
 
-States = tuple[CullingResult, Feedback]
+States = tuple[CullingResult, CullingResult, Feedback]
 PATHS = 1000
 ANALYSIS = 64
 
 
 @pytest.fixture(scope="module")
 def states() -> States:
-    """The analysis of a small city at a budget of little, and the brute-force counts. The measured paths are among the brute-force ones."""
+    """The analyses of a small city at budgets of 1 % and of nothing, and the brute-force counts. The measured paths are among the brute-force ones."""
     import bpy
 
     from lipac.lipac_addon import demo
@@ -33,15 +33,16 @@ def states() -> States:
     loop.run()
     loop.measured = None  # measured anew, by the first samples of the brute-force run
     result = by_budget(loop, Budget(0.01, 0.05))
+    everything = by_budget(loop, Budget(0.0, 0.0))
     brute = Loop(scene, CullOptions(width=48))
     brute.active = brute.exists.copy()
     brute.next_sample = 0
     feedback, _ = brute.trace(brute.build(brute.active), PATHS)
-    return result, feedback
+    return result, everything, feedback
 
 
 def test_what_shows_nowhere_is_culled(states: States) -> None:
-    result, brute = states
+    result, _, brute = states
     met = brute.hits.sum(axis=1)
     assert (met == 0).sum() > 1000  # most of the city
     # What no path meets stays only with its region, where that was met too thinly to be told apart from it.
@@ -50,7 +51,7 @@ def test_what_shows_nowhere_is_culled(states: States) -> None:
 
 
 def test_what_paths_need_is_active(states: States) -> None:
-    result, brute = states
+    _, result, brute = states
     met = brute.hits.sum(axis=1)
     # Met by a share p of paths, an instance escapes the 64 paths of 48 x 27 pixels with probability (1 - p)**82944: below 1e-6 from this share on.
     sure = met >= brute.paths * (1 - 1e-6 ** (1 / (ANALYSIS * 48 * 27)))
@@ -59,7 +60,7 @@ def test_what_paths_need_is_active(states: States) -> None:
 
 
 def test_what_only_the_mirror_shows_is_active(states: States) -> None:
-    result, brute = states
+    _, result, brute = states
     camera, glossy = brute.hits[:, RayType.CAMERA], brute.hits[:, RayType.GLOSSY]
     mirrored = (camera == 0) & (glossy > 500)
     assert mirrored.sum() > 5
