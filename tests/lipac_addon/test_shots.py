@@ -7,6 +7,7 @@ import json
 import os
 import weakref
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from lipac.core.analysis import analyze
+from lipac.core.budget import Budget
 from lipac.core.culling import CullOptions, State
 from lipac.core.errors import Cancelled
 from lipac.core.files import replacing
@@ -246,7 +248,8 @@ def test_a_baked_file_renders_the_same_without_us(moving: Any, tmp_path: Path) -
     """Cycles on the saved copy, opened and rendered with nothing of ours, gives the pictures of the command; the open file is as it was."""
     moving.cycles.seed = 0
     visible = {ob.name: ob.hide_render for ob in bpy.data.objects}
-    do(tmp_path, (1, 6), bake=SHOT, engine="cycles", save=tmp_path / "baked.blend")
+    generous = replace(OPTIONS, max_error=Budget(0.2, 1.0))  # so that few paths are sure that something may go
+    do(tmp_path, (1, 6), bake=SHOT, engine="cycles", save=tmp_path / "baked.blend", options=generous)
     assert {ob.name: ob.hide_render for ob in bpy.data.objects} == visible
     hidden = set(visible) - shown(load_states(tmp_path / "states" / "frame_0006.npz"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "baked.blend"))
