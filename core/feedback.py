@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import mmap
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -50,9 +50,6 @@ class Weights:
         ambient = max(ambient, 1e-30)
         return Weights(np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED, first)
 
-    def joined(self, more: Weights) -> Weights:
-        """With what more paths gathered, in the same unit."""
-        return replace(self, light=self.light + more.light, total=self.total + more.total)
 
     def relative(self) -> F64:
         """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64.
@@ -85,11 +82,3 @@ class Feedback:
         if boxes is None:
             return Feedback(hits, np.zeros((0, RAY_TYPES), np.int64), np.uint64(0), weights=weights)
         return Feedback(hits, boxes.counters, boxes.handle, weights=weights)
-
-    def joined(self, more: Feedback) -> Feedback:
-        """With the counts of more paths; both without hitboxes. Weights are joined for themselves."""
-        hits = sparse_zeros(self.hits.shape)
-        for part in (self, more):
-            rows = np.flatnonzero(part.hits.any(axis=1))
-            hits[rows] += part.hits[rows]
-        return replace(self, hits=hits, paths=self.paths + more.paths, weights=None)

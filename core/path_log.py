@@ -45,9 +45,6 @@ class PathLog:
         """A deep copy."""
         return PathLog(self.records.copy(), self.color.copy())
 
-    def joined(self, more: PathLog) -> PathLog:
-        """With the samples of another log behind these."""
-        return PathLog(np.concatenate([self.records, more.records], axis=2), np.concatenate([self.color, more.color], axis=2))
 
     def update(self, only: NDArray[np.uint8], other: PathLog) -> None:
         """Take the paths that only, (H, W, S), marks from another log."""
