@@ -14,7 +14,7 @@ from .machine import machine
 if TYPE_CHECKING:
     from ..tests.hard.case import Case, Figure
 
-MODULES = ("places", "transforms", "meshes", "rays", "light", "counters", "cameras", "inside_blender")
+MODULES = ("places", "transforms", "meshes", "rays", "light", "counters", "cameras", "inside_blender", "field")
 
 
 def main(argv: Sequence[str]) -> int:
