@@ -303,7 +303,7 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             tb *= np.float32(w.out[O_WEIGHT + 2])
         if not (tr > _ZERO or tg > _ZERO or tb > _ZERO):
             return
-        if label & (TRANSPARENT | TRANSMIT) and load_u8(material + M_UNSURE, 0) != 0:
+        if label & (TRANSPARENT | TRANSMIT) and load_u32(material + M_UNSURE, 0) != 0:
             through = True
         elif label & TRANSPARENT == 0:
             through = False

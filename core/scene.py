@@ -104,6 +104,7 @@ class InstanceFlag(IntFlag):
 NO_TEXTURE = -1
 VIEWS = RAY_TYPES + 1  # what a BY_RAY material tells apart: ray types, and light sampling behind them; first of the front, then of the back
 
+# Records have no padding: their bytes are compared and hashed, and NumPy may leave anything in what belongs to no field.
 MATERIAL = np.dtype(
     [
         ("shader", "u4"),
@@ -137,8 +138,8 @@ MATERIAL = np.dtype(
         ("transmission_channel", "u1"),
         ("mis_emission", "u1"),  # 1: its emission is sampled as a light (Blender's "Emission Sampling")
         ("single_sided_emission", "u1"),  # 1: emits from the front side only
-        ("unsure", "u1"),  # 1: an approximation; how much passes through is not known, so all that is seen through it is to be kept
         ("rays", "u2"),  # of BY_RAY: a bit per view that sees the second part
+        ("unsure", "u4"),  # 1: an approximation; how much passes through is not known, so all that is seen through it is to be kept
         ("parts", "i4", (2,)),  # of MIX and BY_RAY: rows of two materials, never in a cycle; emission there is the brightest of theirs
     ],
     align=True,
@@ -174,7 +175,7 @@ LIGHT = np.dtype(
         ("spot_size", "f4"),  # full cone angle
         ("spot_blend", "f4"),
         ("spread", "f4"),  # area, pi = all of the hemisphere
-        ("visibility", "u1"),  # bit per RayType: which rays see the light's shape itself
+        ("visibility", "u4"),  # bit per RayType: which rays see the light's shape itself
         ("cast_shadow", "u1"),
         ("normalize", "u1"),  # 1: `power` is divided by the shape's area (Blender's default)
         ("soft_falloff", "u1"),  # point, spot
