@@ -37,9 +37,10 @@ _PLAIN = {
     "use_multiview": False,
     "use_persistent_data": False,
 }
+_NO_SKY = "indirect_light_intensity"  # Blender 5.0 has none: there lamps are rendered without the world, the background with it
 _LAMPS_ONLY = {
     # Only lamps: the sky, probes and what the screen shows give no light to surfaces, the path tracer does that.
-    "indirect_light_intensity": 0.0,
+    _NO_SKY: 0.0,
     "use_raytracing": False,
     "use_fast_gi": False,
     "light_threshold": 1e-5,  # 0 loses shadows, the default cuts dim lamps off
@@ -100,9 +101,14 @@ def render_passes(
     Raises InputError where it cannot be rendered, OSError where a file cannot be written. OpenGL must be there (`opengl.require`).
     """
     passes = _render(scene, samples, _LAMPS_ONLY if lamps_only else {}, save)
+    if lamps_only and not hasattr(scene.eevee, _NO_SKY):
+        with changed(scene, world=None):
+            lamps = _render(scene, samples, _LAMPS_ONLY)
+        passes = dataclasses.replace(passes, diffuse=lamps.diffuse, glossy=lamps.glossy)
     if not unshadowed:
         return passes
-    return dataclasses.replace(passes, unshadowed=_render(scene, samples, {**_LAMPS_ONLY, "use_shadows": False}).direct)
+    with changed(scene, world=scene.world if hasattr(scene.eevee, _NO_SKY) else None):
+        return dataclasses.replace(passes, unshadowed=_render(scene, samples, {**_LAMPS_ONLY, "use_shadows": False}).direct)
 
 
 def _render(scene: bpy.types.Scene, samples: int, eevee: dict[str, Any], save: Path | None = None) -> Passes:
