@@ -20,18 +20,18 @@ UV := uv==0.13.9
 
 install: $(VENV)/.installed
 demo: install
-	$(BIN)/python -m lipac.scripts.make_demo -o out/demo
+	$(BIN)/python -m lipac.scripts.dev.make_demo -o out/demo
 results: install
-	$(BIN)/python -m lipac.scripts.hybrid_results -o docs/results
-	$(BIN)/python -m lipac.scripts.hybrid_pop -o docs/results
+	$(BIN)/python -m lipac.scripts.studies.hybrid_results -o docs/results
+	$(BIN)/python -m lipac.scripts.studies.hybrid_pop -o docs/results
 	$(BIN)/lipac evaluate --all -o docs/results --samples 64 --budget-check 20 --ray-budget
 accuracy: $(VENV)/.installed-test
-	$(BIN)/python -m lipac.scripts.accuracy
+	$(BIN)/python -m lipac.scripts.dev.accuracy
 animation: install
 	$(BIN)/lipac bench -o out/bench --only animation
 	cp -r out/bench/animation.md out/bench/animation docs
 extension: $(VENV)/.installed-test
-	$(BIN)/python -m lipac.scripts.make_extension
+	$(BIN)/python -m lipac.scripts.dev.make_extension
 # Tests run even where lint or types complain, so that one look shows everything; any of the three fails the target.
 test: $(VENV)/.installed-test
 	@status=0; $(MAKE) lint VENV=$(VENV) || status=$$?; $(BIN)/python -m pytest --durations=25 || status=$$?; exit $$status

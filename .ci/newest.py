@@ -38,7 +38,7 @@ from importlib.metadata import distributions
 print(*{re.sub(r"[-_.]+", "-", d.name).lower() + "==" + d.version for d in distributions()})
 """
 LOCKED = """
-from lipac.scripts.lock import pins
+from lipac.scripts.dev.lock import pins
 print(*(f"{name}=={version}" for name, version in pins().items()))
 """
 

@@ -1,9 +1,10 @@
 """LiPaC's engine: arrays in, arrays out, no Blender.
 
-Read the modules in the order of a frame: `scene` (what comes in), `blas`, `tlas`, `hitboxes` and `regions` (build the structure), `tracer` and `path_kernel`
-(trace), `feedback`, `culling`, `budget` and `calibration` (process feedback), `loop` (the three steps, repeated) and `analysis` (a frame), `frames` (a shot).
+Rooms, each above those that it may import: `jit` (compiling), `scene` (what comes in), `accel` (structures), `feedback` (what paths report), `tracing` (paths),
+`error_budget` (bounds and what they allow), `culling` (the loop over all of these, a frame, a shot), `hybrid` (with a raster), `evaluation` (judging all that).
+Beside them `files`. tests/test_architecture.py keeps the order.
 """
 
-from . import kernel_cache
+from .jit import kernel_cache
 
 kernel_cache.use()

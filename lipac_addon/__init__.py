@@ -3,7 +3,7 @@
 
 def register() -> None:
     """Register classes with Blender. Neither numba nor Embree is loaded before the first analysis."""
-    from .ui import preferences
+    from .ui.state import preferences
 
     preferences.register()  # says where `core`, which the other modules import, keeps compiled kernels
     from .ui import registration
@@ -13,7 +13,8 @@ def register() -> None:
 
 def unregister() -> None:
     """Take back what `register` did."""
-    from .ui import preferences, registration
+    from .ui import registration
+    from .ui.state import preferences
 
     registration.unregister()
     preferences.unregister()

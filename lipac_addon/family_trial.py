@@ -13,15 +13,15 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core.analysis import analyze
-from ..core.budget import Budget
-from ..core.culling import CullOptions, State
-from ..core.paired import MEASURES, Change, Pairs, Range
-from ..core.scene import F32
+from ..core.arrays import F32
+from ..core.culling.analysis import analyze
+from ..core.culling.options import CullOptions, State
+from ..core.error_budget.budget import Budget
+from ..core.evaluation.paired import MEASURES, Change, Pairs, Range
 from . import writeback
+from .batch.engines import render_blender
 from .console import muted
 from .demo import family
-from .engines import render_blender
 from .extract import extract_frame
 from .pictures import read_picture
 

@@ -1,6 +1,6 @@
 """The key that finds an instance again in Blender: names and indices, never references.
 
-A `Records` array of KEY, one per instance of `core.scene.Instances`, beside a table of names:
+A `Records` array of KEY, one per instance of `core.scene.model.Instances`, beside a table of names:
 
 kind: how Blender makes the instance (`Kind`).
 host: name of the object at the top that instances it (-1 for a real object). object: name of the object that is instanced (-1: a geometry without an object).
@@ -17,7 +17,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.scene import Records
+from ..core.arrays import Records
 
 
 class Kind(IntEnum):

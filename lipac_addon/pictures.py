@@ -10,10 +10,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..core.arrays import F32
 from ..core.errors import InputError
-from ..core.files import replacing
-from ..core.scene import F32
-from .extract.depsgraph import changed, render_result
+from ..core.files.atomic import replacing
+from .depsgraph import changed, render_result
 
 _FORMATS = {
     ".exr": {"file_format": "OPEN_EXR", "color_depth": "32", "exr_codec": "ZIP"},

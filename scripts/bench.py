@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.report import SECONDS
-from . import compare
-from .compare import CULLED, FULL, OTHER_SEED, markdown
-from .machine import machine
+from ..core.files.report import SECONDS
+from .studies import compare
+from .studies.compare import CULLED, FULL, OTHER_SEED, markdown
+from .studies.machine import machine
 
 PEERS = ("rays", "feedback", "paths", "extraction", "city", "compiling")
 ANIMATION = ("crowd", "character", "flythrough", "shot", "growth", "rest", "memory", "pictures")
@@ -25,7 +25,7 @@ CITY_OPTIONS = ("--resolution", "320x180", "--samples", "4")
 
 def main(argv: Sequence[str]) -> int:
     """Run what is not measured yet, write benchmarks.json, benchmarks.md and animation.md, print them; returns the exit status."""
-    from ..core.report import output_folder
+    from ..core.files.report import output_folder
     from .options import Parser
 
     parser = Parser(prog="lipac bench", description="Measure against peers, and animated scenes; parts already measured in DIR are kept.")
@@ -57,7 +57,7 @@ def main(argv: Sequence[str]) -> int:
         print(text)
     animated = {name: results[name] for name in ANIMATION if name in results}
     if animated:
-        from .animation_report import write
+        from .studies.animation_report import write
 
         print(write(folder, animated))
     return 0
@@ -69,7 +69,7 @@ def measure(name: str, folder: Path, repeats: int) -> dict[str, Any]:
         return extraction()
     if name == "city":
         return city(folder, repeats)
-    from . import bench_animation, bench_tracing
+    from .studies import bench_animation, bench_tracing
 
     part: dict[str, Any] = getattr(bench_animation if name in ANIMATION else bench_tracing, name)(folder)
     return part
@@ -85,7 +85,7 @@ def extraction() -> dict[str, Any]:
     from ..lipac_addon.demo import build
     from ..lipac_addon.extract import extract
     from ..lipac_addon.extract.graph import GraphReader
-    from .bench_tracing import interleaved
+    from .studies.bench_tracing import interleaved
 
     build("mirror-city", CITY)
     graph = bpy.context.evaluated_depsgraph_get()

@@ -32,13 +32,13 @@ def main(argv: Sequence[str]) -> int:
     args = parser.parse_args(argv)
     if args.output.suffix.lower() != ".blend":
         raise InputError(f"-o {args.output}: the name of the file must end in .blend")
-    from ..core.report import output_folder
+    from ..core.files.report import output_folder
 
     output_folder(args.output.parent)
     from ..lipac_addon.console import muted
 
     with ctrl_c() as cancelled, muted():
-        from ..lipac_addon.baked import save_copy
+        from ..lipac_addon.batch.baked import save_copy
         from ..lipac_addon.demo import build
 
         build(args.name, args.instances, args.seed, args.figure)

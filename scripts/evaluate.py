@@ -14,7 +14,7 @@ from typing import Any
 
 from ..core.errors import InputError
 from ..core.progress import Progress, part
-from .machine import machine
+from .studies.machine import machine
 
 SIZE = (320, 180)
 SAMPLES, FAMILY_SAMPLES, FAMILY_THREADS = 16, 64, 2
@@ -26,7 +26,7 @@ PIECES = "build"  # folder of finished pieces, which need not be kept
 
 def main(argv: Sequence[str]) -> int:
     """Evaluate what the command line says; returns the exit status."""
-    from ..core.report import output_folder
+    from ..core.files.report import output_folder
     from .options import Parser, count, path_count, resolution, seed_number, thread_count
 
     parser = Parser(prog="lipac evaluate", description="Measure cost and error of every culling policy. What is already measured in DIR is kept.")
@@ -69,7 +69,7 @@ def main(argv: Sequence[str]) -> int:
 
 def random_scenes(args: argparse.Namespace, folder: Path) -> int:
     """The scenes of `--family`; returns the exit status."""
-    from . import family
+    from .studies import family
 
     if args.scene is not None:
         raise InputError("--family makes its own scenes: name no SCENE")
@@ -106,8 +106,8 @@ def extracted(args: argparse.Namespace) -> Any:
 
 def evaluate(args: argparse.Namespace, folder: Path, progress: Progress, cancelled: Callable[[], bool]) -> dict[str, Any]:
     """Everything for one scene; returns what evaluation.json holds."""
-    from ..core import evaluate as core
-    from . import evaluate_report as report
+    from ..core.evaluation import evaluate as core
+    from .studies import evaluate_report as report
 
     progress(0.0, "opening the scene")
     scene = extracted(args)
@@ -136,7 +136,7 @@ def evaluate(args: argparse.Namespace, folder: Path, progress: Progress, cancell
 
 def cycles(args: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """Seconds and peak memory of Cycles, full and culled, each in a process of its own."""
-    from . import compare
+    from .studies import compare
 
     options = ("--resolution", f"{args.resolution[0]}x{args.resolution[1]}", "--samples", "16")
     out = {}
@@ -151,7 +151,7 @@ def everything(args: argparse.Namespace, folder: Path) -> int:
     """Each scene in a process of its own, then the table over all; returns the worst exit status."""
     import subprocess
 
-    from . import evaluate_report as report
+    from .studies import evaluate_report as report
 
     worst = 0
     own = [a for a in ("--cycles", "--ray-budget", "--quiet") if getattr(args, a[2:].replace("-", "_"))]
@@ -172,7 +172,7 @@ def everything(args: argparse.Namespace, folder: Path) -> int:
 
 def scenes(supplied: Path, folder: Path) -> list[tuple[str, Path]]:
     """Names and files of the supplied scenes that are there, and of the demos, which are built where they are missing."""
-    from . import compare
+    from .studies import compare
 
     out = [(Path(name).stem, supplied / name) for name in SCENES if (supplied / name).exists()]
     if len(out) < len(SCENES):

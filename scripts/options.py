@@ -17,16 +17,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from ..core.budget import SPREAD, Budget
-from ..core.culling import DEFAULT_BUDGET, POLICIES, CullOptions
+from ..core.culling.options import DEFAULT_BUDGET, POLICIES, CullOptions
+from ..core.error_budget.budget import SPREAD, Budget
 from ..core.errors import InputError
-from ..core.kernels import load_ahead, telling
 from ..core.progress import Progress, Terminal, silent
+from ..core.warmup import load_ahead, telling
 from .streams import say
 
 if TYPE_CHECKING:
-    from ..core.report import Report
-    from ..lipac_addon.pipeline import Job
+    from ..core.files.report import Report
+    from ..lipac_addon.batch.pipeline import Job
 
 MOST_LINES = 20  # of a kind that a command prints
 LAST_FRAME = 1048574  # Blender's own limit
@@ -232,7 +232,7 @@ def cull_options(args: argparse.Namespace) -> CullOptions:
 
 def check(args: argparse.Namespace) -> None:
     """Raise InputError for what can be told before Blender starts: no scene, bad numbers, an output folder that cannot be written."""
-    from ..core.report import output_folder
+    from ..core.files.report import output_folder
 
     if args.scene is None and "bpy" not in sys.modules:
         raise InputError("SCENE is missing: name a .blend or another scene file")
@@ -268,11 +268,11 @@ def do_frames(
 
         with muted():
             import bpy
-        from ..lipac_addon.baked import check_target
-        from ..lipac_addon.engines import BLENDER_ENGINES
-        from ..lipac_addon.hybrid import HybridOptions
+        from ..lipac_addon.batch.baked import check_target
+        from ..lipac_addon.batch.engines import BLENDER_ENGINES
+        from ..lipac_addon.batch.hybrid_frame import HybridOptions
+        from ..lipac_addon.batch.pipeline import Job, run
         from ..lipac_addon.open import AUTO, leave_modes, missing_libraries, open_scene, use_camera
-        from ..lipac_addon.pipeline import Job, run
         from .lipac import began
 
         gc.freeze()  # what is loaded by now stays: who collects garbage need not look through it
@@ -315,8 +315,8 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     """An empty report, with all that the results of a job on the open file depend on."""
     import bpy
 
-    from ..core.report import Report
-    from ..lipac_addon.pipeline import SHOT
+    from ..core.files.report import Report
+    from ..lipac_addon.batch.pipeline import SHOT
 
     scene, path = bpy.context.scene, args.scene or bpy.data.filepath
     options: dict[str, Any] = {name: value for name, value in dataclasses.asdict(job.options).items() if name not in ("threads", "seed", "policy")}

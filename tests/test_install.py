@@ -12,14 +12,15 @@ import pytest
 from packaging.utils import canonicalize_name
 
 import lipac
-from lipac.scripts.lock import LOCK, pins
+from lipac.scripts.dev.lock import LOCK, pins
 
 ROOT = Path(lipac.__file__).parent
 
 
 @pytest.mark.smoke
 def test_core_imports_without_bpy() -> None:
-    modules = [f"lipac.core.{path.stem}" for path in sorted((ROOT / "core").glob("*.py"))]
+    modules = [".".join(("lipac", *path.relative_to(ROOT).with_suffix("").parts)) for path in sorted((ROOT / "core").rglob("*.py"))]
+    assert "lipac.core.tracing.bsdf.lobes" in modules
     code = f"import importlib, sys; [importlib.import_module(m) for m in {modules!r}]; sys.exit('bpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

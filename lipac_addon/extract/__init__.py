@@ -1,4 +1,4 @@
-"""Blender in: what a render of a scene would see, as the arrays of `core.scene`.
+"""Blender in: what a render of a scene would see, as the arrays of `core.scene.model`.
 
     extraction = extract_frame(bpy.context.scene, frame)      # render visibility, render modifiers; baked world
     extraction.scene, extraction.keys, extraction.warnings
@@ -10,8 +10,8 @@ Read in the order of use: `depsgraph` (a graph in render mode), `graph` (its obj
 `shading` (materials), `scene` (all together), `session` (over frames).
 """
 
+from ..depsgraph import with_render_depsgraph
 from .camera import add_framing_camera, frame_camera
-from .depsgraph import with_render_depsgraph
 from .scene import Extraction, extract
 from .session import Extractor, extract_frame
 from .world import ExtractedWorld, extract_world

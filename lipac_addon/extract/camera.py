@@ -7,8 +7,9 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...core.arrays import F32, F64
 from ...core.errors import InputError
-from ...core.scene import F32, F64, Camera, Film, PathLimits, Shading
+from ...core.scene.model import Camera, Film, PathLimits, Shading
 
 VIEW_DIRECTION = np.array([-0.6, 0.7, -0.4])  # of a framing camera: from the front, a little from the right and above
 NEWEST = (5, 3)  # Blender that the tests have run on

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.scene import I32, Records
+from ...core.arrays import I32, Records
 from ..keys import packed
 from .instances import Placed, Rows
 
@@ -13,7 +13,7 @@ Mask = NDArray[np.bool_]
 
 
 def compare(before: Placed, now: Placed) -> tuple[I32 | None, Mask | None]:
-    """`previous` and `moved` of `core.change.Change`: rows are found again by their keys, and compared number by number."""
+    """`previous` and `moved` of `core.scene.change.Change`: rows are found again by their keys, and compared number by number."""
     if now.rows is before.rows:
         return None, None
     count = len(now.rows)

@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arrays import F32, F64
 from ...core.errors import InputError
-from ...core.scene import F32, F64, InstanceFlag, RayType
+from ...core.scene.model import InstanceFlag, RayType
 from ..keys import Kind
+from .geometry.mesh_table import MeshTable
+from .geometry.meshes import matrices, read
+from .geometry.slots import Slots, SlotTable, material_slots
 from .lights import LampData, read_lamp
-from .mesh_table import MeshTable
-from .meshes import matrices, read
-from .slots import Slots, SlotTable, material_slots
 
 GEOMETRY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL"}
 NOTHING_TYPES = {"ARMATURE", "CAMERA", "SPEAKER", "LATTICE"}  # show nothing themselves

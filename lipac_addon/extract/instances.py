@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.placing import compose_rows, finish, local_origin, local_reach, shifted
-from ...core.scene import F32, F64, I32, U8, Camera, InstanceFlag, Instances, RayType, Records
+from ...core.arrays import F32, F64, I32, U8, Records
+from ...core.scene.model import Camera, InstanceFlag, Instances, RayType
+from ...core.scene.placing import compose_rows, finish, local_origin, local_reach, shifted
 from ..keys import KEY, MAX_DEPTH, Kind
 from .graph import Geometry, GraphReader, Members, Node
 from .lights import Lamp
@@ -83,7 +84,7 @@ class Placements:
 
 @dataclass
 class Rows:
-    """Instances and their keys, as in `core.scene.Instances` and `keys.Keys`."""
+    """Instances and their keys, as in `core.scene.model.Instances` and `keys.Keys`."""
 
     transform: F32
     bounds: F32

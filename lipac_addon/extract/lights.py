@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.placing import usable_transforms
-from ...core.scene import F64, LIGHT, AreaShape, LightKind, Records
+from ...core.arrays import F64, Records
+from ...core.scene.model import LIGHT, AreaShape, LightKind
+from ...core.scene.placing import usable_transforms
 
 KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT, "AREA": LightKind.AREA}
 

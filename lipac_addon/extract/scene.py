@@ -8,19 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from ...core.change import Change
+from ...core.arrays import F32, I32, Records
 from ...core.errors import InputError, NothingToAnalyse
-from ...core.placing import scene_origin
-from ...core.scene import F32, I32, Records, Scene
+from ...core.scene.change import Change
+from ...core.scene.model import Scene
+from ...core.scene.placing import scene_origin
+from ..depsgraph import STAND_IN
 from ..keys import Keys, Kind
 from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera, newer_than_tested
-from .depsgraph import STAND_IN
 from .differences import compare
-from .displacement import Relief
+from .geometry.meshes import LazyMeshes
 from .graph import GraphReader, Node
 from .instances import Placed, Placer
 from .lights import place_lamps
-from .meshes import LazyMeshes
+from .materials.displacement import Relief
 from .shading import Shading, ShadingReader, same_array
 from .shutter import Shutter, same_camera
 from .world import ExtractedWorld, extract_world

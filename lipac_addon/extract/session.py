@@ -6,10 +6,10 @@ import time
 from types import TracebackType
 from typing import Any
 
-from ...core.compiling import share
 from ...core.errors import InputError
+from ...core.tracing.second_process import share
+from ..depsgraph import RenderGraph
 from .camera import NO_CAMERA
-from .depsgraph import RenderGraph
 from .scene import Extraction, Frame, SceneReader
 from .shutter import Shutter, read_shutter
 from .world import ExtractedWorld, baked_world, constant_world, fingerprint

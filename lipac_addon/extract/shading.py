@@ -8,18 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.scene import I32, Records, Textures
-from .displacement import Relief
+from ...core.arrays import I32, Records
+from ...core.scene.model import Textures
 from .graph import GraphReader
-from .materials import MaterialTable
-from .textures import Pixels, TextureTable
+from .materials.converter import MaterialTable
+from .materials.displacement import Relief
+from .materials.textures import Pixels, TextureTable
 
 _CLASSES = ("Material", "NodeTree", "Texture", "Image")
 
 
 @dataclass(frozen=True)
 class Shading:
-    """What `core.scene.Scene` needs of the materials; textured: (M,) bool, which of those that slots have need UVs; reliefs: how these displace, M of them."""
+    """What a `Scene` needs of the materials; textured: (M,) bool, which of those that slots have need UVs; reliefs: how these displace, M of them."""
 
     slot_materials: I32
     materials: Records

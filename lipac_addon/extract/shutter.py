@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from mathutils import Matrix
 
-from ...core.scene import Camera, Film
+from ...core.scene.model import Camera, Film
 from .camera import extract_camera
 
 CAMERAS = 64  # of an exposure: a path takes one of them

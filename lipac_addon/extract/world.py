@@ -16,9 +16,10 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...core.arrays import F32
 from ...core.errors import InputError
-from ...core.scene import ALL_RAYS, F32, RayType, World
-from .depsgraph import changed, no_new_images, own_slot, render_result, with_render_depsgraph
+from ...core.scene.model import ALL_RAYS, RayType, World
+from ..depsgraph import changed, no_new_images, own_slot, render_result, with_render_depsgraph
 
 BAKE_HEIGHT = 512  # of worlds without an image
 MAX_HEIGHT = 2048
@@ -198,7 +199,7 @@ def _pane(made: list[Any]) -> Any:
 
 
 def bake(world: Any, height: int, samples: int, through: bool = False) -> F32:
-    """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `core.scene.World.image`; through: as others than camera rays
+    """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `World.image`; through: as others than camera rays
     see it. Raises InputError if Cycles fails."""
     from ..pictures import read_picture
 

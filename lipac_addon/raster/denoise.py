@@ -11,8 +11,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ...core.arrays import F32
 from ...core.errors import InputError
-from ...core.scene import F32
 
 _CPU, _FLOAT3, _HIGH = 1, 3, 6
 _NAMES = {"linux": "libOpenImageDenoise.so.2", "darwin": "libOpenImageDenoise.2.dylib", "win32": "OpenImageDenoise.dll"}

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from ...core.errors import InputError
-from ...core.scene import Scene
+from ...core.scene.model import Scene
 from . import opengl
 
 if TYPE_CHECKING:
-    from ...core.primary import MeshTable, Primary
+    from ...core.scene.mesh import MeshTable
+    from ...core.scene.model import FirstHitBuffer
 
 PRIMARY = ("raster", "traced")
 
@@ -20,8 +21,8 @@ class FirstHits(Protocol):
     scene: Scene
     meshes: MeshTable
 
-    def draw(self, size: tuple[int, int], index: int = 0, count: int = 1) -> Primary:
-        """Pass `index` of `count` (`core.primary.pass_camera`), of a picture of size (width, height)."""
+    def draw(self, size: tuple[int, int], index: int = 0, count: int = 1) -> FirstHitBuffer:
+        """Pass `index` of `count` (`core.hybrid.first_hits.pass_camera`), of a picture of size (width, height)."""
 
 
 def first_hits(scene: Scene, primary: str, threads: int = 0) -> FirstHits:
@@ -43,10 +44,11 @@ class TracedHits:
     """First hits by rays over everything in view, which is built for it, and freed with this."""
 
     def __init__(self, scene: Scene, threads: int = 0) -> None:
-        from ...core.blas import BlasCache
-        from ...core.embree import shared_device
-        from ...core.primary import MeshTable, in_view
-        from ...core.tlas import Tlas
+        from ...core.accel.blas import BlasCache
+        from ...core.accel.embree import shared_device
+        from ...core.accel.tlas import Tlas
+        from ...core.hybrid.first_hits import in_view
+        from ...core.scene.mesh import MeshTable
 
         self.scene = scene
         self.meshes = MeshTable(scene.meshes)
@@ -55,9 +57,9 @@ class TracedHits:
         blas.need(scene.instances.mesh[seen])
         self._tlas = Tlas(scene.instances, blas, seen)
 
-    def draw(self, size: tuple[int, int], index: int = 0, count: int = 1) -> Primary:
+    def draw(self, size: tuple[int, int], index: int = 0, count: int = 1) -> FirstHitBuffer:
         """As `FirstHits.draw`."""
-        from ...core.primary import pass_camera, trace_primary
+        from ...core.hybrid.first_hits import pass_camera, trace_primary
 
         camera = pass_camera(self.scene.camera, self.scene.film, size, index, count)
         return trace_primary(self._tlas, self.meshes, camera, size, self.scene.instances.mesh)

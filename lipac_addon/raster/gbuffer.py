@@ -9,10 +9,12 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
-from ...core.camera import projection
+from ...core.arrays import F32, I64
 from ...core.errors import InputError
-from ...core.primary import HIT, MeshTable, Primary, in_view, pass_camera
-from ...core.scene import F32, I64, Camera, Scene
+from ...core.hybrid.first_hits import in_view, pass_camera
+from ...core.scene.camera import projection
+from ...core.scene.mesh import MeshTable
+from ...core.scene.model import HIT, Camera, FirstHitBuffer, Scene
 
 ROW = 1024  # instances per row of the texture that holds transforms
 _TEXELS = 3  # of an instance: the rows of its transform
@@ -104,8 +106,8 @@ class GBuffer:
         data = gpu.types.Buffer("FLOAT", texels.size, texels.ravel())
         return gpu.types.GPUTexture((_TEXELS * ROW, rows), format="RGBA32F", data=data)
 
-    def draw(self, size: tuple[int, int], index: int = 0, count: int = 1) -> Primary:
-        """Pass `index` of `count` (`core.primary.pass_camera`), of a picture of size (width, height)."""
+    def draw(self, size: tuple[int, int], index: int = 0, count: int = 1) -> FirstHitBuffer:
+        """Pass `index` of `count` (`core.hybrid.first_hits.pass_camera`), of a picture of size (width, height)."""
         camera = pass_camera(self.scene.camera, self.scene.film, size, index, count)
         found = self._pixels(camera, size)
         hits = np.zeros((size[1], size[0]), HIT)
@@ -115,7 +117,7 @@ class GBuffer:
         hits["triangle"] = found[..., 1].astype(np.uint32)
         hits["b1"] = np.clip(found[..., 2], 0, 1)
         hits["b2"] = np.clip(found[..., 3], 0, 1 - hits["b1"])
-        return Primary(hits, camera, self.meshes)
+        return FirstHitBuffer(hits, camera, self.meshes)
 
     def _pixels(self, camera: Camera, size: tuple[int, int]) -> F32:
         """(H, W, 4) float32, rows bottom up: slot + 1 (0: nothing), triangle, barycentrics."""

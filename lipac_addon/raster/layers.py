@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.files import replacing
-from ...core.scene import F32
+from ...core.arrays import F32
+from ...core.files.atomic import replacing
 
 LAYER = "Hybrid"
 _LETTERS = {1: "V", 3: "RGB", 4: "RGBA"}

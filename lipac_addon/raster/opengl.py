@@ -10,7 +10,7 @@ import bpy
 
 from ...core.errors import InputError
 from ..console import muted
-from ..extract.depsgraph import no_new_images
+from ..depsgraph import no_new_images
 
 NO_OPENGL = (
     "no OpenGL here to rasterize with: install EGL and a driver (Debian, Ubuntu: apt install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri; "

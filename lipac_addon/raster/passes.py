@@ -13,11 +13,11 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...core.arrays import F32
 from ...core.errors import InputError
-from ...core.film import LUMINANCE
-from ...core.scene import F32
+from ...core.scene.film import LUMINANCE
 from ..console import muted
-from ..extract.depsgraph import changed, no_new_images
+from ..depsgraph import changed, no_new_images
 from ..pictures import save_render_result
 
 _PASSES = ("diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color", "emit", "environment")

@@ -7,7 +7,9 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from . import applying, job, live, overlay, results
+from .draw import overlay
+from .jobs import job, live
+from .state import applying, results
 
 _ENGINE = "LIPAC_EXTRACT"  # our own reading of the scene is a render, too
 

@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 import bpy
 
 from ...core.errors import InputError
-from . import engine, job, session
+from .jobs import engine, job
+from .state import session
 
 BUSY = "An analysis is running: wait, or cancel it"
 INTERVAL = 0.05  # seconds between steps of a job

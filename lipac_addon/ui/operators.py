@@ -7,10 +7,11 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import EnumProperty
 
-from . import analysis, applying, engine, job, kernels, live, props, results, session
-from .analysis import AnalysisJob
-from .difference import DifferenceJob
+from .jobs import analysis, engine, job, live
+from .jobs.analysis import AnalysisJob
+from .jobs.difference import DifferenceJob
 from .modal import BUSY, Explained, JobOperator
+from .state import applying, kernel_folder, props, results, session
 
 _UNANALYZED = "Analyze this frame first"
 
@@ -197,7 +198,7 @@ class LIPAC_OT_clear_cache(Explained, bpy.types.Operator):
         return BUSY if job.is_running() else ""
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        self.report({"INFO"}, f"Removed {kernels.clear() / 1e6:.0f} MB of compiled kernels")
+        self.report({"INFO"}, f"Removed {kernel_folder.clear() / 1e6:.0f} MB of compiled kernels")
         return {"FINISHED"}
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import bpy
 
-from . import applying, engine, job, live, props, results
-from .boxes import KINDS
-from .figures import LONGEST, lines, rows_of, rows_of_difference, rows_of_object, rows_of_renders
+from .draw.boxes import KINDS
+from .draw.figures import LONGEST, lines, rows_of, rows_of_difference, rows_of_object, rows_of_renders
+from .jobs import engine, job, live
 from .operators import (
     LIPAC_OT_analyze,
     LIPAC_OT_apply,
@@ -20,6 +20,7 @@ from .operators import (
     LIPAC_OT_mark,
     LIPAC_OT_restore,
 )
+from .state import applying, props, results
 
 _OWN = {"frustum": "margin", "distance": "distance", "solid-angle": "solid_angle"}
 

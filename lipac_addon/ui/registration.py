@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import atexit
 
-from . import handlers, job, live, manual, operators, overlay, panel, props, results
+from . import handlers, manual, operators, panel
+from .draw import overlay
+from .jobs import job, live
+from .state import props, results
 
 _MODULES = (props, operators, panel, manual, overlay, handlers)
 

@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.scene import F32
+from ...core.arrays import F32
 from ..keys import Keys
 from . import marks, mask
 from .plan import Plan, full_name, make_plan

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.scene import F32
+from ...core.arrays import F32
 from . import marks
 
 NAME = "LiPaC mask"

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.scene import Records
+from ...core.arrays import Records
 from ..keys import Keys, Kind
 from .references import References, instances_others, is_animated, scenes_in_picture, simulates, takes_modifiers
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from lipac.core import scene as s
-from lipac.core.blas import BlasCache
-from lipac.core.film import Picture
-from lipac.core.tlas import Tlas
-from lipac.core.tracer import prepare, trace
+from lipac.core.accel.blas import BlasCache
+from lipac.core.accel.tlas import Tlas
+from lipac.core.scene import model as s
+from lipac.core.scene.film import Picture
+from lipac.core.tracing.tracer import prepare, trace
 
 CUBE_POSITIONS = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)], np.float32)
 CUBE_TRIANGLES = np.array(

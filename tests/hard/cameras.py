@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lipac.core import scene as s
-from lipac.core.analysis import analyze
-from lipac.core.camera import camera_constants, camera_ray
-from lipac.core.culling import POLICIES, CullOptions
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import POLICIES, CullOptions
+from lipac.core.scene import model as s
+from lipac.core.scene.camera import camera_constants, camera_ray
 
 from ..core import scenes
 from ..core.scenes import lamp, material, render

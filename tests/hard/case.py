@@ -1,6 +1,6 @@
 """What a hard case is: a function that measures something with a known answer or an invariant, and says how far off it is.
 
-The tests run every case that is quick; `scripts/accuracy.py` runs all of them and writes docs/accuracy.md.
+The tests run every case that is quick; `scripts/dev/accuracy.py` runs all of them and writes docs/accuracy.md.
 """
 
 from __future__ import annotations

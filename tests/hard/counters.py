@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lipac.core import path_state
-from lipac.core.analysis import reaches
-from lipac.core.blas import BlasCache
-from lipac.core.feedback import TILES, Feedback, Weights
-from lipac.core.hitboxes import Hitboxes
-from lipac.core.tlas import Tlas
-from lipac.core.tracer import prepare, trace
+from lipac.core.accel.blas import BlasCache
+from lipac.core.accel.hitboxes import Hitboxes
+from lipac.core.accel.tlas import Tlas
+from lipac.core.culling.analysis import reaches
+from lipac.core.feedback.hits import TILES, Feedback, Weights
+from lipac.core.tracing import path_state
+from lipac.core.tracing.tracer import prepare, trace
 
 from .case import Figure, case
 from .places import still_life

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from lipac.core.errors import InputError
-from lipac.core.scene import Scene
+from lipac.core.scene.model import Scene
 from lipac.lipac_addon import writeback
 from lipac.lipac_addon.console import muted
 from lipac.lipac_addon.extract import extract_frame

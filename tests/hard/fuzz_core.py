@@ -7,21 +7,21 @@ import unittest.mock
 
 import numpy as np
 
-from lipac.core import loop
-from lipac.core import scene as s
-from lipac.core.analysis import analyze
-from lipac.core.blas import BlasCache
-from lipac.core.budget import Budget
-from lipac.core.camera import camera_constants, camera_ray
-from lipac.core.culling import CullOptions, State
-from lipac.core.feedback import Feedback
-from lipac.core.film import filter_offset, filter_offsets
-from lipac.core.hitboxes import Hitboxes, box_entry
-from lipac.core.path_kernel import _FILTER, _LENS
-from lipac.core.placing import LARGEST
-from lipac.core.sampling import path_key, uniform2
-from lipac.core.tlas import Tlas
-from lipac.core.tracer import Prepared, prepare, trace
+from lipac.core.accel.blas import BlasCache
+from lipac.core.accel.hitboxes import Hitboxes, box_entry
+from lipac.core.accel.tlas import Tlas
+from lipac.core.culling import loop
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import CullOptions, State
+from lipac.core.error_budget.budget import Budget
+from lipac.core.feedback.hits import Feedback
+from lipac.core.jit.sampling import path_key, uniform2
+from lipac.core.scene import model as s
+from lipac.core.scene.camera import camera_constants, camera_ray
+from lipac.core.scene.film import filter_offset, filter_offsets
+from lipac.core.scene.placing import LARGEST
+from lipac.core.tracing.path_kernel import _FILTER, _LENS
+from lipac.core.tracing.tracer import Prepared, prepare, trace
 
 from ..core import scenes
 from ..core.scenes import lamp, material

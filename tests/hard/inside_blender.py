@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import bpy
 import numpy as np
 
+from lipac.core.arrays import F32
 from lipac.core.errors import InputError
-from lipac.core.scene import F32, Scene
+from lipac.core.scene.model import Scene
 from lipac.lipac_addon.console import muted
 from lipac.lipac_addon.extract import extract_frame
 
@@ -72,7 +73,7 @@ def cycles() -> F32:
     import tempfile
     from pathlib import Path
 
-    from lipac.lipac_addon.engines import render_blender
+    from lipac.lipac_addon.batch.engines import render_blender
     from lipac.lipac_addon.pictures import read_picture
 
     with tempfile.TemporaryDirectory() as folder:

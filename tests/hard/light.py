@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lipac.core import path_state
-from lipac.core import scene as s
-from lipac.core.analysis import analyze
-from lipac.core.culling import CullOptions
-from lipac.core.film import Picture
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import CullOptions
+from lipac.core.scene import model as s
+from lipac.core.scene.film import Picture
+from lipac.core.tracing import path_state
 
 from ..core import scenes
 from ..core.scenes import lamp, material, render

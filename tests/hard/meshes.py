@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lipac.core import scene as s
-from lipac.core.analysis import analyze
-from lipac.core.blas import BlasCache
-from lipac.core.culling import CullOptions
-from lipac.core.feedback import Feedback
+from lipac.core.accel.blas import BlasCache
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import CullOptions
+from lipac.core.feedback.hits import Feedback
+from lipac.core.scene import model as s
 
 from ..core import scenes
 from ..core.scenes import lamp, material, render

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lipac.core import scene as s
-from lipac.core.analysis import analyze
-from lipac.core.culling import CullOptions
-from lipac.core.placing import local_origin, shifted
-from lipac.core.scene import F32
+from lipac.core.arrays import F32
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import CullOptions
+from lipac.core.scene import model as s
+from lipac.core.scene.placing import local_origin, shifted
 
 from ..core import scenes
 from ..core.scenes import lamp, material, render

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from lipac.core import embree, hitboxes
-from lipac.core import scene as s
-from lipac.core.blas import BlasCache
-from lipac.core.feedback import Feedback
-from lipac.core.hitboxes import box_entry
-from lipac.core.tlas import Tlas
+from lipac.core.accel import embree, hitboxes
+from lipac.core.accel.blas import BlasCache
+from lipac.core.accel.hitboxes import box_entry
+from lipac.core.accel.tlas import Tlas
+from lipac.core.feedback.hits import Feedback
+from lipac.core.scene import model as s
 
 from ..core import scenes
 from ..core.scenes import lamp, material, render

@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from numba import cfunc, types
 
-from lipac.core import embree
-from lipac.core.blas import BlasCache
-from lipac.core.culling import CullOptions
-from lipac.core.report import Report
-from lipac.lipac_addon.pipeline import Job, run
+from lipac.core.accel import embree
+from lipac.core.accel.blas import BlasCache
+from lipac.core.culling.options import CullOptions
+from lipac.core.files.report import Report
+from lipac.lipac_addon.batch.pipeline import Job, run
 
 from ..core import scenes
 from .inside_blender import stage
@@ -77,7 +77,7 @@ def test_full_temporary_folder(blend: Path, tmp_path: Path) -> None:
     folder = tmp_path / "temporary"
     folder.mkdir()
     code = (
-        "import sys, lipac.lipac_addon.verify as verify, os, lipac.core.files as files; whole = files.is_whole\n"
+        "import sys, lipac.lipac_addon.batch.verify as verify, os, lipac.core.files.atomic as files; whole = files.is_whole\n"
         f"files.is_whole = lambda path: whole(path) and not str(path).startswith({str(folder)!r})\n"
         "from lipac.scripts.lipac import main; sys.exit(main(sys.argv[1:]))"
     )

@@ -1,4 +1,4 @@
-"""Random scenes: 450 of arrays here, 50 of Blender's in test_inside_blender.py. `python -m lipac.scripts.fuzz` checks as many as wanted and keeps seeds."""
+"""Random scenes: 450 of arrays here, 50 of Blender's in test_inside_blender.py. `python -m lipac.scripts.dev.fuzz` checks as many as wanted and keeps seeds."""
 
 from __future__ import annotations
 

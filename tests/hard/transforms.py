@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lipac.core import scene as s
-from lipac.core.analysis import analyze
-from lipac.core.culling import CullOptions
-from lipac.core.feedback import Feedback
-from lipac.core.placing import usable_transforms
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import CullOptions
+from lipac.core.feedback.hits import Feedback
+from lipac.core.scene import model as s
+from lipac.core.scene.placing import usable_transforms
 
 from ..core import scenes
 from ..core.scenes import lamp, material, render

@@ -18,10 +18,10 @@ from mathutils import Vector
 from scipy import stats
 
 import lipac
-from lipac.core.blas import BlasCache
-from lipac.core.tlas import Tlas
-from lipac.core.tracer import prepare, trace
-from lipac.lipac_addon.engines import render_blender
+from lipac.core.accel.blas import BlasCache
+from lipac.core.accel.tlas import Tlas
+from lipac.core.tracing.tracer import prepare, trace
+from lipac.lipac_addon.batch.engines import render_blender
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
 from lipac.tests.stats import level

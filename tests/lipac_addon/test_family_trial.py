@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.paired import Range
+from lipac.core.evaluation.paired import Range
 from lipac.lipac_addon import family_trial, writeback
 from lipac.lipac_addon.console import muted
 from lipac.lipac_addon.extract import extract_frame

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lipac.core.blas import BlasCache
-from lipac.core.embree import lib
-from lipac.core.scene import RAY_TYPES, Instances, Mesh, world_bounds
-from lipac.core.tlas import Tlas
-from lipac.scripts import bench, bench_tracing, compare
+from lipac.core.accel.blas import BlasCache
+from lipac.core.accel.embree import lib
+from lipac.core.accel.tlas import Tlas
+from lipac.core.scene.mesh import Mesh
+from lipac.core.scene.model import RAY_TYPES, Instances, world_bounds
+from lipac.scripts import bench
+from lipac.scripts.studies import bench_tracing, compare
 
 
 def _tetrahedra(count: int) -> tuple[Tlas, Instances]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from matplotlib.image import imread
 
-from lipac.core import evaluate, oracle
+from lipac.core.evaluation import evaluate, oracle
 from lipac.scripts import lipac
 
 

@@ -12,7 +12,7 @@ from subprocess import PIPE
 import bpy
 import pytest
 
-from lipac.core.report import load_states
+from lipac.core.files.report import load_states
 from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.lipac import main
 from lipac.scripts.options import byte_count

@@ -8,9 +8,9 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.culling import CullOptions
+from lipac.core.culling.options import CullOptions
+from lipac.core.culling.shot import Shot
 from lipac.core.errors import InputError
-from lipac.core.frames import Shot
 from lipac.lipac_addon.demo import build, crowd
 from lipac.lipac_addon.extract import extract_frame
 

@@ -9,13 +9,13 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.analysis import analyze
-from lipac.core.budget import Budget
-from lipac.core.culling import CullOptions, State
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.loop import Loop
+from lipac.core.culling.options import CullOptions, State
+from lipac.core.error_budget.budget import Budget
 from lipac.core.errors import InputError
-from lipac.core.loop import Loop
-from lipac.core.paired import MEASURES, Pairs
-from lipac.core.scene import Scene
+from lipac.core.evaluation.paired import MEASURES, Pairs
+from lipac.core.scene.model import Scene
 from lipac.lipac_addon.console import muted
 from lipac.lipac_addon.demo import build, family, family_kinds
 from lipac.lipac_addon.extract import extract_frame

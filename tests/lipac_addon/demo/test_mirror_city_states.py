@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from lipac.core.analysis import by_budget
-from lipac.core.budget import Budget
-from lipac.core.culling import CullOptions
-from lipac.core.feedback import Feedback
-from lipac.core.loop import CullingResult, Loop
-from lipac.core.scene import RayType
+from lipac.core.culling.analysis import by_budget
+from lipac.core.culling.loop import CullingResult, Loop
+from lipac.core.culling.options import CullOptions
+from lipac.core.error_budget.budget import Budget
+from lipac.core.feedback.hits import Feedback
+from lipac.core.scene.model import RayType
 
 States = tuple[CullingResult, CullingResult, Feedback]
 PATHS = 1000

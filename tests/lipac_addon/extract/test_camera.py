@@ -11,7 +11,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from lipac.core.errors import InputError
-from lipac.core.scene import Camera
+from lipac.core.scene.model import Camera
 from lipac.lipac_addon.extract import add_framing_camera, extract_frame, frame_camera
 from lipac.lipac_addon.extract.camera import extract_camera, extract_film
 

@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.placing import usable_transforms
-from lipac.core.scene import InstanceFlag, RayType
+from lipac.core.scene.model import InstanceFlag, RayType
+from lipac.core.scene.placing import usable_transforms
 from lipac.lipac_addon.extract import ExtractedWorld, Extraction, extract, extract_world, with_render_depsgraph
 from lipac.lipac_addon.extract.graph import full_name, ray_visibility
 from lipac.lipac_addon.keys import Kind

@@ -8,7 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.scene import AreaShape, LightKind, RayType, Records
+from lipac.core.arrays import Records
+from lipac.core.scene.model import AreaShape, LightKind, RayType
 from lipac.lipac_addon.extract import Extraction, extract_frame
 
 from .conftest import add, collection, cube, instance_of

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 from lipac.core.errors import InputError
-from lipac.core.scene import Camera, Mesh
+from lipac.core.scene.mesh import Mesh
+from lipac.core.scene.model import Camera
+from lipac.lipac_addon.depsgraph import changed
 from lipac.lipac_addon.extract import Extraction, Extractor, extract_frame, extract_world
-from lipac.lipac_addon.extract.depsgraph import changed
 from lipac.lipac_addon.open import leave_modes, open_scene
 from lipac.lipac_addon.pictures import read_picture
 
@@ -221,8 +222,8 @@ def test_what_nobody_holds_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
     bent = item.shape_key_add(name="bent")
     bent.data[0].co = (-3, -3, -3)
     key(bent, "value", {1: 0.0, 4: 1.0})
-    monkeypatch.setattr("lipac.lipac_addon.extract.mesh_table.load", lambda *_: pytest.fail("read"))
-    monkeypatch.setattr("lipac.lipac_addon.extract.meshes.load", lambda *_: pytest.fail("read"))
+    monkeypatch.setattr("lipac.lipac_addon.extract.geometry.mesh_table.load", lambda *_: pytest.fail("read"))
+    monkeypatch.setattr("lipac.lipac_addon.extract.geometry.meshes.load", lambda *_: pytest.fail("read"))
     with Extractor(bpy.context.scene) as extractor:
         extractor.frame(1)
         change = extractor.frame(2).change

@@ -8,12 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.culling import CullOptions
-from lipac.core.report import Report, load_states
-from lipac.core.scene import Camera
+from lipac.core.culling.options import CullOptions
+from lipac.core.files.report import Report, load_states
+from lipac.core.scene.model import Camera
+from lipac.lipac_addon.batch.pipeline import Job, run
 from lipac.lipac_addon.extract import Extractor, extract_frame
 from lipac.lipac_addon.extract.shutter import CAMERAS
-from lipac.lipac_addon.pipeline import Job, run
 
 from .conftest import add, cube
 

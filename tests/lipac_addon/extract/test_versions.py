@@ -8,12 +8,12 @@ from typing import Any
 import bpy
 import pytest
 
-from lipac.core.scene import Shading
+from lipac.core.scene.model import Shading
 from lipac.lipac_addon.extract import camera, extract_frame
 from lipac.lipac_addon.extract.camera import extract_limits
 
 from .conftest import add, cube
-from .test_materials import Tree
+from .materials.test_converter import Tree
 
 
 def node(tree: Tree, kind: str, inputs: dict[Any, Any] | None = None) -> Any:

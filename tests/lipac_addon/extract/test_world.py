@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.scene import RayType
+from lipac.core.scene.model import RayType
 from lipac.lipac_addon.extract import extract_world
 from lipac.lipac_addon.extract import world as module
 

@@ -4,10 +4,11 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.blas import BlasCache
+from lipac.core.accel.blas import BlasCache
+from lipac.core.accel.tlas import Tlas
 from lipac.core.errors import InputError
-from lipac.core.primary import MeshTable, trace_primary
-from lipac.core.tlas import Tlas
+from lipac.core.hybrid.first_hits import trace_primary
+from lipac.core.scene.mesh import MeshTable
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.raster import opengl
 

@@ -10,20 +10,20 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.core.culling import CullOptions
+from lipac.core.culling.loop import Loop
+from lipac.core.culling.options import CullOptions
 from lipac.core.errors import InputError
-from lipac.core.loop import Loop
-from lipac.core.metrics import relative_mse
-from lipac.lipac_addon.engines import render_blender
+from lipac.core.evaluation.metrics import relative_mse
+from lipac.lipac_addon.batch.engines import render_blender
+from lipac.lipac_addon.batch.hybrid_frame import HybridOptions, render_hybrid
 from lipac.lipac_addon.extract import extract_frame
-from lipac.lipac_addon.hybrid import HybridOptions, render_hybrid
 from lipac.lipac_addon.pictures import read_picture
 from lipac.lipac_addon.raster import opengl
 from lipac.lipac_addon.raster.denoise import _library, denoise
 from lipac.lipac_addon.raster.layers import read_layers
 from lipac.lipac_addon.raster.passes import Passes, render_passes
-from lipac.scripts.hybrid_pop import measure
 from lipac.scripts.lipac import main
+from lipac.scripts.studies.hybrid_pop import measure
 
 SMALL = ["--resolution", "64x36", "--quiet"]
 FAST = [*SMALL, "--engine", "hybrid", "--raster-samples", "2"]
@@ -132,7 +132,7 @@ def test_sequence(ride_file, tmp_path):
 @needs_opengl
 def test_raster_alone_is_eevee(scene_file, tmp_path, monkeypatch):
     """Where paths have no share, what is shown is EEVEE's picture bit for bit as EEVEE shows it."""
-    monkeypatch.setattr("lipac.core.hybrid.share_of_paths", lambda *_: 0.0)
+    monkeypatch.setattr("lipac.core.hybrid.composition.share_of_paths", lambda *_: 0.0)
     bpy.ops.wm.open_mainfile(filepath=str(scene_file))
     scene, cull = extract_frame(bpy.context.scene).scene, CullOptions(policy="distance", distance=0.0)
     _, figures = render_hybrid(scene, HybridOptions(raster_samples=1), cull, tmp_path / "hybrid", 1)

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from lipac.lipac_addon.pictures import read_picture
-from lipac.lipac_addon.ui import applying, handlers, results
+from lipac.lipac_addon.ui import handlers
+from lipac.lipac_addon.ui.state import applying, results
 
 FAR = {"box4", "box5", "box6", "box7"}
 

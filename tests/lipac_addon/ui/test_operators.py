@@ -6,8 +6,10 @@ import bpy
 import pytest
 
 from lipac.core.errors import InputError
-from lipac.lipac_addon.ui import applying, engine, handlers, job, operators, results, session
-from lipac.lipac_addon.ui.analysis import AnalysisJob
+from lipac.lipac_addon.ui import handlers, operators
+from lipac.lipac_addon.ui.jobs import engine, job
+from lipac.lipac_addon.ui.jobs.analysis import AnalysisJob
+from lipac.lipac_addon.ui.state import applying, results, session
 
 FAR = {"box4", "box5", "box6", "box7"}
 

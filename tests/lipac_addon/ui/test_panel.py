@@ -5,9 +5,12 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from lipac.lipac_addon.ui import applying, engine, figures, job, live, panel, results
-from lipac.lipac_addon.ui.analysis import AnalysisJob
-from lipac.lipac_addon.ui.results import Difference
+from lipac.lipac_addon.ui import panel
+from lipac.lipac_addon.ui.draw import figures
+from lipac.lipac_addon.ui.jobs import engine, job, live
+from lipac.lipac_addon.ui.jobs.analysis import AnalysisJob
+from lipac.lipac_addon.ui.state import applying, results
+from lipac.lipac_addon.ui.state.results import Difference
 
 
 @pytest.fixture

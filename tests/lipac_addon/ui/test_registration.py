@@ -11,7 +11,9 @@ import bpy
 import pytest
 
 import lipac
-from lipac.lipac_addon.ui import manual, operators, overlay, panel, preferences, props
+from lipac.lipac_addon.ui import manual, operators, panel
+from lipac.lipac_addon.ui.draw import overlay
+from lipac.lipac_addon.ui.state import preferences, props
 
 GROUPS = (props.LipacSettings, preferences.LipacPreferences)
 OPERATORS = operators._CLASSES
@@ -78,9 +80,9 @@ def test_every_operator_has_a_tooltip(ui):
 
 
 def test_policies_and_rays_are_those_of_the_engine(ui):
-    from lipac.core.culling import POLICIES
-    from lipac.core.scene import RayType
-    from lipac.lipac_addon.ui.results import RAYS
+    from lipac.core.culling.options import POLICIES
+    from lipac.core.scene.model import RayType
+    from lipac.lipac_addon.ui.state.results import RAYS
 
     assert {name for name, *_ in props.POLICIES} == set(POLICIES) - {"none"}
     assert tuple(kind.name.lower() for kind in RayType) == RAYS
@@ -88,7 +90,7 @@ def test_policies_and_rays_are_those_of_the_engine(ui):
 
 
 def test_settings_become_options(scene):
-    from lipac.core.culling import CullOptions
+    from lipac.core.culling.options import CullOptions
 
     settings = scene.lipac
     settings.property_unset("policy")

@@ -1,0 +1,189 @@
+"""Which instances of a frame stay: by heuristics, by how many paths meet them, or by what the picture would lose."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from ..accel.region_tree import FANOUT
+from ..arrays import F64, I32
+from ..error_budget.budget import Budget, Savings
+from ..error_budget.error_estimate import CONFIDENCE, NOTHING, Reference
+from ..error_budget.search import Choice, Search, refined
+from ..error_budget.units import Units, units_of
+from ..feedback.path_log import PathLog
+from ..feedback.tiles import TILES
+from ..progress import Progress, part, silent
+from ..scene.model import RAY_TYPES, Scene
+from .certificate import Certificate, Verdict
+from .heuristics import heuristic
+from .loop import CullingResult, Loop, Measurement
+from .options import CullOptions
+
+PRICELESS = 50.0  # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with more than that
+ATTEMPTS = 3  # at a certificate, each with twice the paths of the one before
+
+
+def analyze(
+    scene: Scene, options: CullOptions, progress: Progress = silent, cancelled: Callable[[], bool] | None = None, pinned: np.ndarray | None = None
+) -> CullingResult:
+    """Decide which instances of a frame stay; those of pinned, (N,) bool, always do.
+
+    Raises Cancelled where cancelled() says so, MemoryError where Embree runs out.
+    """
+    return decide(Loop(scene, options, cancelled, pinned=pinned), progress)
+
+
+def decide(loop: Loop, progress: Progress = silent) -> CullingResult:
+    """Decide the frame that a loop stands at, cold or advanced to."""
+    scene, options = loop.scene, loop.options
+    if options.policy != "light-paths":
+        n = len(scene.instances)
+        loop.active = heuristic(scene, options) & loop.exists  # nothing else asks for what stays of the last frame
+        return loop.result(loop.active, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
+    loop.run(part(progress, 0.0, 0.7, "light paths ask for geometry, "))
+    if options.min_share is not None:
+        return by_counts(loop, options.min_share)
+    return by_budget(loop, options.max_error, part(progress, 0.7, 1.0, "calibrating, "))
+
+
+def reaches(met: np.ndarray, paths: int, share: np.ndarray | float) -> np.ndarray:
+    """Whether met of paths, (N,) int64, is at least a share.
+
+    As quotients: k / n rounds to the number that its decimals are read as, share x n need not be k.
+    """
+    return np.asarray((met > 0) & (met / max(paths, 1) >= share))
+
+
+def by_counts(loop: Loop, min_share: float) -> CullingResult:
+    """Keep what at least min_share of the paths meet; the score is that share.
+
+    Which share of the light is not known, for it passes boxes that too few paths asked for, is reported (`unknown_mean`, `unknown_worst`).
+
+    Hysteresis over frames: what the last frame kept stays while it is met by min_share / options.hysteresis of them.
+    """
+    measured = loop.measured or loop.measure()
+    feedback, met = measured.feedback, measured.met
+    share = np.where(loop.kept, min_share / loop.options.hysteresis, min_share)
+    keep = loop.pinned | (loop.active & reaches(met, feedback.paths, share))
+    figures: dict[str, float | int] = {}
+    if loop.options.max_iterations > 1:  # else in real time, where each path counts
+        unknown = loop.unknown(measured.samples, 1)
+        figures = {"unknown_mean": float(unknown.mean()), "unknown_worst": float(unknown.max())}
+    return loop.result(keep, (met / max(feedback.paths, 1)).astype(np.float32), feedback.hits, (), **figures)
+
+
+def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> CullingResult:
+    """Cull what saves most while the picture surely changes by no more than the budget; the score is the share of the picture that an instance is worth.
+
+    What each instance is worth alone does not say what many are worth together, nor what lies behind them: `calibration` traces without them and finds out.
+    The sets that it finds are then judged by paths that chose none of them. Where even the smallest of them may break the budget, these paths have met what the
+    others did not: all is measured again, by twice as many; once also where nothing may go, though the search says so. In the end what is not certified stays.
+
+    Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that uses up the budget or all but a factor of
+    options.hysteresis; else what it kept goes only where others would save so many times less for the same change.
+    """
+    measured = loop.measured or loop.measure()
+    samples, attempts = max(loop.samples - loop.first_samples, 1), 1 if loop.limited else ATTEMPTS
+    for attempt in range(attempts):
+        within = part(progress, attempt / attempts, (attempt + 1) / attempts)
+        loop.measured, ids = measured, measured.tlas.ids
+        units, steps, searched = _searched(loop, measured, budget, part(within, 0.0, 0.5))
+
+        def keep_of(cull: np.ndarray, units: Units = units, ids: I32 = ids) -> np.ndarray:
+            return _kept(loop, units, cull, ids)
+
+        loop.include(keep_of(steps[0].cull))
+        verdict = Certificate(loop, measured.samples, samples, budget).walk(refined(steps, units), units, keep_of, part(within, 0.5, 0.9))
+        fruitless = verdict.cull is None or (attempt == 0 and len(steps) > 1 and not verdict.cull.any())
+        if not fruitless or attempt == attempts - 1:
+            break
+        measured, samples = loop.measure_more(measured, part(within, 0.9, 1.0)), measured.samples
+    return _decided(loop, measured, units, steps, verdict, searched)
+
+
+def _decided(loop: Loop, measured: Measurement, units: Units, steps: list[Choice], verdict: Verdict, searched: int) -> CullingResult:
+    """States and figures by what is certified; where nothing is, everything stays that fits into memory, and that is said. searched: paths of the search."""
+    warnings = []
+    cull, keep, estimate, unknown = verdict.cull, verdict.keep, verdict.estimate, verdict.unknown
+    if cull is None:
+        cull = steps[0].cull
+        if loop.limited:
+            warnings.append(
+                f"not within the error budget: what is left out for want of bytes or milliseconds, or was not looked at, may change the picture by "
+                f"{100 * estimate.upper_mean(verdict.confidence):.2g} % in the mean, {100 * estimate.upper_worst(verdict.confidence):.2g} % in the worst tile"
+            )
+        else:
+            keep, estimate, unknown = loop.exists.copy(), NOTHING, np.zeros(TILES)
+            warnings.append("the error budget could not be certified: everything is kept")
+    ids, worth = measured.tlas.ids, measured.weights.relative()
+    score = np.zeros(len(loop.active), np.float32)
+    score[ids] = worth.mean(axis=1)
+    predicted = units.worth[cull].sum(axis=0)
+    chosen = max((step for step in steps if not (step.cull & ~cull).any()), key=lambda step: step.cull.sum(), default=steps[0])
+    error = {
+        "predicted_mean": float(predicted.mean()),
+        "predicted_worst": float(predicted.max(initial=0.0)),
+        "calibrated_mean": chosen.estimate.mean,
+        "calibrated_worst": chosen.estimate.worst,
+        "calibration_paths": searched,
+        "certified_mean": estimate.upper_mean(verdict.confidence),
+        "certified_worst": estimate.upper_worst(verdict.confidence),
+        "confidence": CONFIDENCE,
+        "unknown_mean": float(unknown.mean()),
+        "unknown_worst": float(unknown.max(initial=0.0)),
+        "certificate_paths": verdict.paths,
+    }
+    return loop.result(keep, score, measured.feedback.hits, tuple(warnings), **error)
+
+
+def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progress) -> tuple[Units, list[Choice], int]:
+    """Units of what was measured and of what was not met, sets of them that keep to the budget by the paths of the measurement, and how many were traced."""
+    start = time.perf_counter()
+    ids = measured.tlas.ids
+    reluctance = np.where(loop.kept[ids], loop.options.hysteresis, 1.0)
+    savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.counted_bytes, reluctance)
+    worth = measured.weights.relative()
+    must = loop.pinned.copy()
+    must[ids[(worth > PRICELESS).any(axis=1)]] = True
+    units = units_of(loop.regions, ids, measured.log.paths_met(len(ids)), worth, must)
+    reference = Reference(measured.log, light=_light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64)))
+    log, trial = measured.log.copy(), PathLog.zeros(*measured.log.shape)
+    loop.timer.add("feedback_s", start)
+
+    def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
+        keep = np.zeros(len(loop.active), bool)
+        keep[ids[~cull]] = True
+        loop.trace_without(measured.tlas, measured.first_sample, keep, only, trial)
+        return trial
+
+    search = Search(reference, log, without, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
+    steps = search.run(progress)
+    return units, steps, search.traced
+
+
+def _kept(loop: Loop, units: Units, cull: np.ndarray, ids: I32) -> np.ndarray:
+    """(N,) bool, the instances that stay where the units of cull, (U,) bool, do not. ids: of the TLAS entries."""
+    keep = np.zeros(len(loop.active), bool)
+    keep[units.unmet_kept(cull, loop.regions)] = True
+    keep[ids] = ~units.entries(cull)
+    return np.asarray(keep | loop.pinned)
+
+
+def _culled_before(loop: Loop, units: Units, ids: I32) -> np.ndarray | None:
+    """(U,) bool, units of which the last frame kept nothing; None where it measured nothing."""
+    if loop.known is None:
+        return None
+    before = np.ones(len(units), bool)
+    before[units.of_entry[~loop.known[ids] | loop.kept[ids]]] = False
+    places = loop.regions.place[np.setdiff1d(np.flatnonzero(loop.kept), ids)]
+    pools = units.pool_of[places[places >= 0] // FANOUT]
+    before[units.with_entries + pools] = False
+    return before
+
+
+def _light(loop: Loop, total: F64) -> F64 | None:
+    """Luminance of all paths of each tile, where logs leave some of it out."""
+    return total if any(hits.lamps_known for hits in loop.scene.first_hits.values()) else None

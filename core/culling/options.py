@@ -1,0 +1,105 @@
+"""How to cull, and the states that it leads to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from ..error_budget.budget import Budget
+from ..errors import InputError
+from ..feedback.tiles import TILES
+from ..scene.model import Film
+
+# Something that a coarse tile's paths do not meet may be worth some of them, each as bright as what stands behind it: so many paths, over the tile's bound.
+TILE_PATHS = 120
+COUNTED_PATHS = 4  # per pixel, by counts
+MOST_PATHS = 64  # per pixel
+
+
+class State(IntEnum):
+    """Activation state of an instance."""
+
+    CULLED = 0
+    PENDING = 1
+    ACTIVE = 2
+
+
+DEFAULT_BUDGET = Budget(0.01, 0.05)
+POLICIES = ("none", "frustum", "distance", "solid-angle", "light-paths")
+
+
+@dataclass(frozen=True)
+class CullOptions:
+    """How to cull. Defaults suit a first scene.
+
+    policy: one of POLICIES. margin: `frustum`, share of the picture (Cycles' default). distance: metres from the camera; for `distance`.
+    solid_angle: degrees that an instance's bounding sphere must span; for `solid-angle`.
+    max_error: `light-paths`: how much the picture may change. min_share: `light-paths` by plain counts instead: an instance stays if at least this share of the
+    paths meets it. paths: per pixel, for the measurement of both; 0: as many as the bounds need.
+    width: of the analysis picture in pixels (its height follows the film). nearest: boxes of a ray that are counted at a cold start;
+    hitbox_every: on one path in so many. settled: segments per path that may still ask for a box when the rounds of a frame end, 0: none;
+    max_iterations: rounds of a frame at most.
+
+    Over the frames of a shot: hysteresis: how many times less than what is newly kept an instance must be worth to be culled again, 1 for none; mitigation:
+    large instances that come into view are active at once. blas_budget_ms: milliseconds of BLAS building per frame, the rest is done in later frames;
+    blas_budget_bytes: of all BLASes together; 0: no limit, as a final render wants it.
+    """
+
+    policy: str = "light-paths"
+    margin: float = 0.1
+    distance: float = 50.0
+    solid_angle: float = 1.0
+    max_error: Budget = DEFAULT_BUDGET
+    min_share: float | None = None
+    paths: int = 0
+    width: int = 240
+    nearest: int = 4
+    hitbox_every: int = 1
+    settled: float = 0.02
+    max_iterations: int = 64
+    hysteresis: float = 2.0
+    mitigation: bool = True
+    blas_budget_ms: float = 0.0
+    blas_budget_bytes: int = 0
+    seed: int = 0
+    threads: int = 0
+
+    def picture_size(self, film: Film) -> tuple[int, int]:
+        """Width and height of the analysis picture."""
+        return min(self.width, film.width), min(max(1, round(self.width * film.height / film.width)), film.height)
+
+    def coarse_size(self, film: Film) -> tuple[int, int]:
+        """Width and height of the picture of coarse rounds."""
+        width, height = self.picture_size(film)
+        return max(width // 2, 1), max(height // 2, 1)
+
+    def paths_per_pixel(self, film: Film) -> int:
+        """Paths per pixel of a measurement, and of the certificate of what is chosen by it."""
+        if self.by_counts:
+            return self.paths or COUNTED_PATHS
+        if self.paths:
+            return max(self.paths, 2)
+        width, height = self.picture_size(film)
+        return int(np.clip(np.ceil(TILE_PATHS * TILES / (max(self.max_error.worst, 1e-3) * width * height)), 2, MOST_PATHS))
+
+    def first_paths_per_pixel(self, film: Film) -> int:
+        """Paths per pixel of a first measurement: half of all, for the others judge what is chosen by these; by counts all."""
+        samples = self.paths_per_pixel(film)
+        return samples if self.by_counts else -(-samples // 2)
+
+    def round_paths_per_pixel(self, film: Film) -> int:
+        """Paths per pixel of a round at full size that comes before: half of a first measurement's."""
+        return max(1, self.first_paths_per_pixel(film) // 2)
+
+    @property
+    def by_counts(self) -> bool:
+        """Whether no budget is kept."""
+        return self.min_share is not None or self.policy != "light-paths"
+
+    def __post_init__(self) -> None:
+        if self.policy not in POLICIES:
+            raise InputError(f"unknown culling policy '{self.policy}': choose one of {', '.join(POLICIES)}")
+
+

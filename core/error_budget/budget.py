@@ -1,0 +1,108 @@
+"""An error budget instead of a threshold: cull the set that saves most while the picture changes by no more than was allowed.
+
+Feedback says what each instance is worth in each coarse tile of the picture (`feedback.Weights`). Selection culls what is cheap under both bounds; calibration
+traces what is left with the same random numbers, measures what really changed, and selects again until the bounds hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ..arrays import F64, I32, I64
+from ..errors import InputError
+
+SPREAD = 5.0  # of the worst tile's bound to the mean's, by default
+ENTRY_BYTES = 150.0  # of a TLAS entry: 64 bytes of Embree's leaf, 52 of ours, and its share of the inner nodes
+
+
+@dataclass(frozen=True)
+class Budget:
+    """mean: bound of the mean relative change of the picture; worst: of its worst tile."""
+
+    mean: float
+    worst: float
+
+    @staticmethod
+    def parse(text: str, spread: float = SPREAD) -> Budget:
+        """'E' or 'E,T', shares of 1: '0.01' or '0.01,0.05'; T is spread times E unless given. Raises InputError."""
+        try:
+            numbers = [float(part) for part in text.split(",")]
+        except ValueError:
+            numbers = []
+        if not 1 <= len(numbers) <= 2 or not all(0 <= x <= 1 for x in numbers):
+            raise InputError(f"--max-error {text}: give E or E,T, each a share between 0 and 1, for example 0.01 or 0.01,0.05")
+        return Budget(numbers[0], numbers[1] if len(numbers) == 2 else min(spread * numbers[0], 1.0))
+
+
+@dataclass(frozen=True)
+class Selection:
+    """cull: (A,) bool. mean, worst: predicted relative change of the picture and of its worst tile."""
+
+    cull: np.ndarray
+    mean: float
+    worst: float
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _greedy(order, weights, mean_bound, tile_bounds):
+    """Cull in order while the mean of the tiles' sums and every tile's sum stay within bounds. order: (A,) int64; weights: (A, T) and
+    tile_bounds: (T,) float64."""
+    count, tiles = weights.shape
+    cull = np.zeros(count, np.bool_)
+    sums = np.zeros(tiles)
+    total = 0.0
+    for i in order:
+        own = 0.0
+        fits = True
+        for t in range(tiles):
+            own += weights[i, t]
+            if sums[t] + weights[i, t] > tile_bounds[t]:
+                fits = False
+                break
+        if not fits or total + own > mean_bound * tiles:
+            continue
+        cull[i] = True
+        total += own
+        for t in range(tiles):
+            sums[t] += weights[i, t]
+    return cull, sums
+
+
+@dataclass(frozen=True)
+class Savings:
+    """What culling of A TLAS entries saves.
+
+    mesh: (A,) int32; bytes_of: (M,) int64, of each BLAS; share: (A,) float64 bytes that an entry saves, its share of the BLAS that it has in common with others
+    of the A included, less by a factor of reluctance: (A,) float64.
+    """
+
+    mesh: I32
+    bytes_of: I64
+    share: F64
+    reluctance: F64
+
+    @staticmethod
+    def among(mesh: I32, bytes_of: I64, reluctance: F64 | float = 1.0) -> Savings:
+        """For entries with these meshes. reluctance: (A,), divides the share of those that are rather to stay."""
+        users = np.bincount(mesh, minlength=len(bytes_of))
+        by = np.broadcast_to(np.asarray(reluctance, np.float64), len(mesh))
+        return Savings(mesh, bytes_of, (ENTRY_BYTES + bytes_of[mesh] / users[mesh]) / by, by)
+
+    def among_these(self, stay: np.ndarray) -> Savings:
+        """For those of the A that stay, (A,) bool, where the others are gone: fewer have a BLAS in common."""
+        return Savings.among(self.mesh[stay], self.bytes_of, self.reluctance[stay])
+
+
+def select(weights: F64, saved: F64, mean_bound: float, tile_bounds: F64 | float) -> Selection:
+    """The instances to cull: cheapest change per saved byte first, while both bounds hold.
+
+    weights: (A, T) relative change of each tile where instance a is missing; saved: (A,) bytes; tile_bounds: one for all tiles, or (T,).
+    Greedy for a knapsack of two kinds of bound (Dantzig 1957 for one): within one instance's worth of the best.
+    """
+    order = np.argsort(weights.sum(axis=1) / saved, kind="stable")
+    bounds = np.array(np.broadcast_to(tile_bounds, weights.shape[1]), np.float64)  # a writable one: the kernel has one variant
+    cull, sums = _greedy(order, weights, max(mean_bound, 0.0), bounds)
+    return Selection(cull, float(sums.mean()), float(sums.max(initial=0.0)))

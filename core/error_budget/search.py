@@ -1,0 +1,182 @@
+"""Which of the measured units to cull: sets are tried, by tracing what they change with the same random numbers, until a budget is used up.
+
+Weights say what each unit is worth by itself, at most. What many are worth together, and what lies behind them, is known when the scene has been traced without
+them. Of all paths only those can differ that met something culled (`path_log`), so a trial costs a small part of the measurement.
+
+A search finds a sequence of sets, each larger than the one before. How far down that sequence the budget holds is for other paths to say: `certificate`.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import F64
+from ..feedback.path_log import PathLog
+from ..progress import Progress, silent
+from .budget import Budget, Savings, select
+from .error_estimate import NOTHING, Difference, ErrorEstimate, Light, Reference
+from .units import Units
+
+TRIALS = 64  # at most
+PATIENCE = 5  # trials in a row that break the budget, after which none is expected to keep it
+WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
+DEVIATIONS = 2.0  # standard deviations of its measurement that are added to what a unit of a failed trial is worth, and to what a tile has used up
+LIKELY = 0.8  # confidence that sets of a search keep to the budget, by its own paths
+SHARE = 0.5  # of what is left of the budget: what a set may add to the one before, so that the sequence has small steps where the budget ends
+PIECES = 4  # that a step of a sequence is judged in
+AIM = 0.95  # of the budget: what selections are to use up. The rest of it is always taken to be left, for what they are worth is but predicted
+PATHS = 1.4  # traced by all trials together at most, to those of the measurement
+UNMET = (0.1, 0.3)  # of the budget: what may be owed to units that no path met, at the first sets of a sequence
+
+Without = Callable[[np.ndarray, NDArray[np.uint8]], PathLog]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A set that was tried, (U,) bool, and what was measured: what paths differ by, and the error by that."""
+
+    cull: np.ndarray
+    difference: Difference
+    estimate: ErrorEstimate
+
+
+class Search:
+    """The search for the sets of units that save most within a budget."""
+
+    def __init__(
+        self,
+        reference: Reference,
+        log: PathLog,
+        without: Without,
+        units: Units,
+        savings: Savings,
+        budget: Budget,
+        before: np.ndarray | None = None,
+        hysteresis: float = 1.0,
+        paths: float = PATHS,
+        confidence: float = LIKELY,
+    ) -> None:
+        """log: of the reference; becomes that of the last set. without: log of the paths (H, W, S) that its second argument marks, without the entries that its
+        first, (A,) bool, culls; valid there, and until it is called again.
+
+        before: (U,) bool, what was culled in the last frame: where that keeps to the budget no less is culled, and no more either where it uses up all but a
+        factor of hysteresis. paths: traced by all trials together at most, to those of the log. confidence: of each set by these paths.
+        """
+        self.reference, self.log, self.without, self.units, self.savings, self.budget = reference, log, without, units, savings, budget
+        self.worth: F64 = units.worth.copy()
+        self.light = Light.of(reference)
+        self.before, self.hysteresis, self.confidence = before, hysteresis, confidence
+        self.allowed = int(paths * np.prod(log.shape))
+        self.traced = 0
+
+    def run(self, progress: Progress = silent) -> list[Choice]:
+        """The sets found, each a part of the next. Beginning with what no path meets, more and more is culled: what is predicted to fit the rest of the
+        budget.
+        """
+        steps, again = self._first()
+        share, failed = SHARE, 0
+        if again and self.hysteresis * steps[-1].estimate.excess(self.budget, self.confidence) >= 1:
+            return steps
+        tried = {step.cull.tobytes() for step in steps}
+        for k in range(TRIALS):
+            best = steps[-1]
+            progress(k / TRIALS, f"{self._staying(best):,} instances stay")
+            more = None if failed >= PATIENCE or best.cull.all() else self._more(best, share, tried)
+            if more is None:
+                break
+            tried.add(more.tobytes())
+            choice = self._try(more, best)
+            if choice is None:
+                share, failed = share / 2, failed + 1
+            else:
+                steps.append(choice)
+                share, failed = min(2 * share, SHARE), 0
+        return steps
+
+    def _staying(self, choice: Choice) -> int:
+        """How many of the instances that paths met stay."""
+        n = self.units.with_entries
+        return int(self.units.members[:n][~choice.cull[:n]].sum())
+
+    def _first(self) -> tuple[list[Choice], bool]:
+        """Sets to begin with: what was culled in the last frame, where that keeps to the budget; else units that no path met, the cheapest first.
+
+        Whether it is the first of these.
+        """
+        nothing = Choice(np.zeros(len(self.units), bool), self.reference.nothing, NOTHING)
+        if self.before is not None:
+            choice = self._try(self.before & np.isfinite(self.worth).all(axis=1), nothing)
+            if choice is not None:
+                return [choice], True
+        n, steps = self.units.with_entries, [nothing]
+        saved = self.units.saved(self.savings, ~nothing.cull)
+        free = np.isfinite(self.worth[:n]).all(axis=1) & (self.worth[:n].sum(axis=1) == 0)  # met, though carrying no light
+        for share in UNMET:
+            cull = nothing.cull.copy()
+            cull[n:] = select(self.worth[n:], saved[n:], share * self.budget.mean, share * self.budget.worst).cull
+            cull[:n] = free
+            choice = self._try(cull | steps[-1].cull, steps[-1])
+            if choice is not None and (choice.cull != steps[-1].cull).any():
+                steps.append(choice)
+        return steps, False
+
+    def _more(self, best: Choice, share: float, tried: set[bytes]) -> np.ndarray | None:
+        """A larger set to cull, (U,) bool, within a share of what one leaves of the budget; None where nothing is left to try."""
+        stay = ~best.cull
+        saved = self.units.saved(self.savings, stay)[stay]
+        estimate = best.estimate
+        used = estimate.tiles + DEVIATIONS * estimate.deviation
+        mean = share * max(AIM * self.budget.mean - estimate.mean, (1 - AIM) * self.budget.mean)
+        tiles = share * np.maximum(AIM * self.budget.worst - used, (1 - AIM) * self.budget.worst)
+        for _ in range(WIDENINGS):
+            cull = best.cull.copy()
+            cull[stay] = select(self.worth[stay], saved, mean, tiles).cull
+            if cull.tobytes() not in tried:  # nor is the set itself
+                return cull
+            mean, tiles = WIDER * mean, WIDER * tiles
+        return None
+
+    def _try(self, cull: np.ndarray, already: Choice) -> Choice | None:
+        """Trace without cull, (U,) bool; None where that breaks the budget, or would take more paths than are left.
+
+        already: a part of it, whose log there is: only paths that met what else is culled can differ from that. What breaks the budget is measured all the
+        same, and known better than it was predicted.
+        """
+        new = cull & ~already.cull
+        only = self.log.affected(self.units.entries(new))
+        paths = int(np.count_nonzero(only))
+        if self.traced + paths > self.allowed:
+            return None
+        self.traced += paths
+        after = self.without(self.units.entries(cull), only) if paths else self.log
+        difference = self.reference.compare(only, after.color, self.log, already.difference)
+        choice = Choice(cull, difference, self.light.estimate(difference, self.units.owed(cull)))
+        if choice.estimate.excess(self.budget, self.confidence) <= 1:
+            self.log.update(only, after)
+            return choice
+        new[self.units.with_entries :] = False
+        self.worth[new] = self.reference.sizes_by_unit(self.units.of_entry, new, only, after.color, self.log, DEVIATIONS)
+        return None
+
+
+def refined(steps: list[Choice], units: Units) -> list[np.ndarray]:
+    """Sets of units, (U,) bool, of a sequence, and between each two of them sets that add a PIECES-th of what lies between, the least worth first."""
+    out = [steps[0].cull]
+    for before, step in itertools.pairwise(steps):
+        new = np.flatnonzero(step.cull & ~before.cull)
+        new = new[np.argsort(units.worth[new].sum(axis=1) / np.maximum(units.members[new], 1), kind="stable")]
+        upto = np.cumsum(units.worth[new].sum(axis=1))
+        for piece in range(1, PIECES):
+            added = new[upto <= upto[-1] * piece / PIECES] if len(new) else new
+            cull = before.cull.copy()
+            cull[added] = True
+            if (cull != out[-1]).any():
+                out.append(cull)
+        if (step.cull != out[-1]).any():
+            out.append(step.cull)
+    return out

@@ -1,0 +1,85 @@
+"""What rays met: integer counts per instance and per hitbox, by ray type. Integers add up to the same whatever the order and the number of threads."""
+
+from __future__ import annotations
+
+import mmap
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..accel.hitboxes import Hitboxes
+from ..arrays import F64, I64
+from ..scene.model import RAY_TYPES
+from .tiles import COLUMNS, DARK, ROWS, TILES
+
+__all__ = ["COLUMNS", "ROWS", "TILES", "Feedback", "Weights"]  # the kernel's
+
+_FIXED = float(1 << 20)  # units of fixed point to the picture's mean luminance
+
+
+def sparse_zeros(shape: tuple[int, int]) -> I64:
+    """int64 zeros of which few are ever touched: memory by pages of 4 kB, where NumPy asks the system for pages of 2 MB, so that hits on a few hundred of a
+    million instances would take, and clear, all 40 MB, in every round."""
+    size = shape[0] * shape[1]
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):  # private: what is only read takes nothing either
+        memory = mmap.mmap(-1, max(8 * size, 1), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        memory.madvise(mmap.MADV_NOHUGEPAGE)
+    else:
+        memory = mmap.mmap(-1, max(8 * size, 1))
+    return np.frombuffer(memory, np.int64, size).reshape(shape)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What TLAS entries are worth to the picture, in fixed point: order and threads do not matter.
+
+    light: (A, T) int64, luminance that paths gathered behind entry a in tile t, or at least what they carried times the mean luminance, since something that
+    bright may stand behind it; and what its blocking denied to shadow rays. total: (T,) int64, luminance of all paths of a tile. Tiles in rows from the bottom.
+    ambient: mean luminance of the picture. unit: luminance of one unit. first: the TLAS entry that row 0 is for; those before it are not weighed. The number
+    behind the last entry of a TLAS, where there is a row for it, stands for the boxes of all that is not built.
+    """
+
+    light: I64
+    total: I64
+    ambient: float
+    unit: float
+    first: int = 0
+
+    @staticmethod
+    def zeros(entries: int, ambient: float, first: int = 0) -> Weights:
+        """Nothing gathered yet, for so many TLAS entries from the first on; ambient: mean luminance expected."""
+        ambient = max(ambient, 1e-30)
+        return Weights(np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED, first)
+
+
+    def relative(self) -> F64:
+        """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64.
+
+        Tiles darker than DARK times the mean are judged against that.
+        """
+        total = self.total.astype(np.float64)
+        return self.light / np.maximum(total, max(DARK * total.mean(), 1.0))
+
+
+@dataclass
+class Feedback:
+    """Counts of one trace.
+
+    hits: (N, RAY_TYPES) int64, rays of a type whose closest hit was the instance; in the column SHADOW: shadow rays that it blocked, or that arrived at it
+    where it is an emitter. boxes: (H, RAY_TYPES) int64, ray segments that crossed the hitbox. hitboxes: their Embree scene (uint64), 0 for none.
+    paths: how many camera paths made these counts. weights: what the light was worth, where it is asked for.
+    """
+
+    hits: I64
+    boxes: I64
+    hitboxes: np.uint64
+    paths: int = 0
+    weights: Weights | None = None
+
+    @staticmethod
+    def zeros(instances: int, boxes: Hitboxes | None = None, weights: Weights | None = None) -> Feedback:
+        """Nothing met yet."""
+        hits = sparse_zeros((instances, RAY_TYPES))
+        if boxes is None:
+            return Feedback(hits, np.zeros((0, RAY_TYPES), np.int64), np.uint64(0), weights=weights)
+        return Feedback(hits, boxes.counters, boxes.handle, weights=weights)

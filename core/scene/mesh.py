@@ -1,0 +1,103 @@
+"""Meshes: arrays of one, and their addresses as kernels read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import F32, U32, Records
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles of one BLAS, in object space.
+
+    positions: (V, 3) float32, C-contiguous; triangles: (T, 3) uint32 into positions.
+    normals: (T, 3, 3) float32 shading normal per corner, or None: flat.
+    uvs: (K, T, 3, 2) float32 for the K maps of `Scene.uv_maps`, or None: no map is needed.
+    slots: (T,) uint16 material slot per triangle, or None: slot 0 throughout.
+    """
+
+    positions: F32
+    triangles: U32
+    normals: F32 | None = None
+    uvs: F32 | None = None
+    slots: NDArray[np.uint16] | None = None
+
+
+MESH = np.dtype(
+    [
+        # Addresses of a loaded mesh's arrays (0: absent), for kernels: `Mesh` says their shapes.
+        ("positions", "u8"),
+        ("triangles", "u8"),
+        ("normals", "u8"),
+        ("uvs", "u8"),
+        ("slots", "u8"),
+        ("triangle_count", "i8"),
+    ],
+    align=True,
+)
+
+
+def _padded(positions: F32) -> F32:
+    """A copy of (V, 3) positions that may be read 16 bytes at a time up to the last row, as Embree does."""
+    flat = np.empty(positions.size + 1, np.float32)
+    out = flat[:-1].reshape(positions.shape)
+    out[...] = positions
+    return out
+
+
+def loaded(source: Mesh, positions: F32 | None = None) -> Mesh:
+    """A mesh whose arrays Embree and the kernels can read in place. positions: an earlier copy to bring up to date, instead of a new one."""
+    if positions is None:
+        positions = _padded(source.positions)
+    else:
+        positions[...] = source.positions
+    return Mesh(
+        positions,
+        np.ascontiguousarray(source.triangles, np.uint32),
+        None if source.normals is None else np.ascontiguousarray(source.normals, np.float32),
+        None if source.uvs is None else np.ascontiguousarray(source.uvs, np.float32),
+        None if source.slots is None else np.ascontiguousarray(source.slots, np.uint16),
+    )
+
+
+def _address(array: np.ndarray | None) -> int:
+    return 0 if array is None else array.ctypes.data
+
+
+def record(mesh: Mesh) -> tuple[int, ...]:
+    """The MESH record of a mesh that is `loaded`: valid while the mesh lives."""
+    return (*map(_address, (mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.slots)), len(mesh.triangles))
+
+
+class MeshTable(Sequence[Mesh]):
+    """Meshes in the form that kernels read, without a BLAS; those that are there need not be read again. table: (M,) of MESH."""
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        self._meshes = meshes
+        self._loaded: dict[int, Mesh] = {}
+        self.table: Records = np.zeros(len(meshes), MESH)
+
+    def need(self, meshes: np.ndarray) -> None:
+        """Load what is missing of meshes (indices, repeats allowed)."""
+        for index in np.unique(meshes).tolist():
+            if index not in self._loaded:
+                self._loaded[index] = mesh = loaded(self._meshes[index])
+                self.table[index] = record(mesh)
+
+    def __len__(self) -> int:
+        return len(self._meshes)
+
+    @overload
+    def __getitem__(self, index: int) -> Mesh: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Mesh]: ...
+    def __getitem__(self, index: int | slice) -> Mesh | list[Mesh]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        return self._loaded[index] if index in self._loaded else self._meshes[index]

@@ -1,0 +1,406 @@
+"""The path tracing kernel: one tile of pixels, all of its samples.
+
+Paths follow Cycles' rules: what counts as which bounce, where a path ends, what is weighed against what (kernel/integrator/path_state.h, shade_surface.h).
+At every vertex one light is sampled and one direction; both are weighed by the power heuristic (Veach 1997).
+Where a raster has found the first hits (core.hybrid.first_hits), paths start at these instead of with a camera ray, and their light is also summed by parts.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ..accel.embree import HIT_U, HIT_V, PRIM_ID, TFAR
+from ..feedback.hits import COLUMNS, ROWS
+from ..feedback.path_log import RECORD
+from ..jit.atomics import atomic_add_int64
+from ..jit.pointers import f32_pointer, load_f32, load_i32, load_u8, load_u32, u32_pointer
+from ..jit.sampling import INNER, OPTIONS, mix, normalize, path_key, power_heuristic, uniform2
+from ..scene.camera import CAMERA, camera_ray
+from ..scene.film import filter_offset
+from ..scene.model import VIEWS, InstanceFlag, RayType, Shader
+from .bsdf.bsdf import bsdf_blur, bsdf_sample, bsdf_setup
+from .bsdf.lobes import (
+    BACKFACING,
+    C_EMISSION,
+    C_HAS_EVAL,
+    C_TRANSPARENCY,
+    DIFFUSE,
+    F_N,
+    NO_REFLECTIVE_CAUSTICS,
+    NO_REFRACTIVE_CAUSTICS,
+    O_PDF,
+    O_WEIGHT,
+    REFLECT,
+    SINGULAR,
+    TRANSMIT,
+    TRANSPARENT,
+)
+from .direct_light import add_direct_light, add_lamps_seen, world_radiance
+from .lights.environment import environment_radiance
+from .lights.lamps import FAR
+from .lights.lights import L_COUNT_SHAPES, L_EMITTERS, L_HEIGHT, L_IMAGE, L_INFINITE, L_SEEN, L_WIDTH, L_WORLD_VISIBILITY, triangle_density, world_density
+from .path_feedback import add_light, add_worth, count_hit, remember, settle
+from .path_rays import count_boxes, entry_of, intersect, set_ray
+from .path_state import (
+    A_CAMERA,
+    A_COLOR,
+    A_FILTER,
+    A_ONLY,
+    A_PARTS,
+    A_PRIMARY,
+    A_STATS,
+    A_SUMS,
+    BOTH,
+    CLEAR,
+    I_CAMERAS,
+    I_DIFFUSE,
+    I_FIRST_SAMPLE,
+    I_GLOSSY,
+    I_HEIGHT,
+    I_HITBOX_EVERY,
+    I_HITBOX_NEAREST,
+    I_LAMPS_KNOWN,
+    I_REFLECTIVE,
+    I_REFRACTIVE,
+    I_SAMPLES,
+    I_SEED,
+    I_SHADING,
+    I_STRATEGY,
+    I_TOTAL,
+    I_TRANSMISSION,
+    I_TRANSPARENT,
+    I_TRANSPARENT_FILM,
+    I_UNBUILT,
+    I_WIDTH,
+    LIGHT_ONLY,
+    MAYBE,
+    NO_PART,
+    PARTS,
+    PARTS_AT,
+    PATHS,
+    RAYS,
+    STRAIGHT,
+    V_EXPOSURE,
+    V_FILTER_GLOSSY,
+    W_RECORD,
+    W_TILE,
+    W_VERTICES,
+    WORK,
+    scenery,
+    scratch,
+)
+from .shading import (
+    M_MIS,
+    M_SHADER,
+    M_UNSURE,
+    T_FLAGS,
+    T_TRANSFORM,
+    apply_normal_map,
+    composed,
+    emission,
+    emits,
+    face,
+    interpolate,
+    material_inputs,
+    material_of,
+    mesh_record,
+    offset_origin,
+    part_of,
+    transmits_shadow,
+)
+
+_CAMERA, _DIFFUSE_RAY, _GLOSSY_RAY, _TRANSMISSION_RAY = (int(t) for t in RayType if t != RayType.SHADOW)
+_HOLDOUT_FLAG = int(InstanceFlag.HOLDOUT)
+_VIEWS = np.int64(VIEWS)
+_HOLDOUT = int(Shader.HOLDOUT)
+_ZERO, _ONE, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 3.0)
+_DIMENSIONS = 4  # pairs of numbers per vertex
+_LENS, _FILTER, _TIME = np.uint64(1 << 40), np.uint64((1 << 40) + 1), np.uint64((1 << 40) + 2)
+_INSTANCE_BYTES = np.uint64(48)
+
+
+@njit(**INNER)
+def _start(s, w, record, ox, oy, oz, dx, dy, dz):
+    """The hit that a raster found on the ray from o along d, into w.ray as if traced; its instance, or -1. record: address of a primary.HIT."""
+    instance = np.int64(load_i32(record, 0))
+    if instance < 0:
+        return instance
+    triangle, b1, b2 = load_u32(record, 1), load_f32(record, 2), load_f32(record, 3)
+    mesh = mesh_record(s.primary_meshes, s.table, instance)
+    interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), np.int64(triangle), b1, b2, w.surf, w.frame)
+    w.ray[TFAR] = max((w.surf[0] - ox) * dx + (w.surf[1] - oy) * dy + (w.surf[2] - oz) * dz, _ZERO)
+    w.ray[HIT_U] = b1
+    w.ray[HIT_V] = b2
+    u32_pointer(w.ray_words)[PRIM_ID] = triangle
+    return instance
+
+
+@njit(**INNER)
+def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
+    """Trace one path from a camera ray; its radiance goes into w.total[0:3], how much of the pixel is transparent into w.total[3], its parts behind that.
+
+    record: address of what a raster found on the camera ray (primary.HIT), 0 to trace it.
+    """
+    first = record != np.uint64(0)  # at the raster's hit
+    second = False  # on the ray that left it
+    for k in range(PARTS_AT + PARTS if first else PARTS_AT):
+        w.total[k] = _ZERO
+    tr = tg = tb = _ONE
+    bounce = diffuse = glossy = transmission = transparent = np.int64(0)
+    ray_type = np.int64(_CAMERA)
+    background = True  # PATH_RAY_TRANSPARENT_BACKGROUND: the ray still goes straight from the camera
+    straight = False  # it has passed something transparent since the last bounce
+    last = False  # a limit is reached: only emission counts, and what lies behind transparency
+    stop = False  # too many transparent surfaces: ends at the next surface
+    after_diffuse = False
+    through = False  # it has passed straight on through something of which we do not know how much that lets through
+    mis = bounce > 0  # False: a literal would compile what it is given to once more
+    pdf = min_pdf = FAR
+    px, py, pz = ox, oy, oz  # where the last bounce was
+    nx = ny = nz = _ZERO
+    before = _ZERO  # distance from there to the origin of the ray
+    every = s.settings[I_HITBOX_EVERY]
+    count = s.hitboxes != np.uint64(0) and every > 0 and mix(key) % np.uint64(max(every, 1)) == np.uint64(0)
+    watched = s.feedback != np.uint64(0)
+    lit = s.lights[L_EMITTERS] + s.lights[L_INFINITE] != np.uint64(0)
+    strategy = s.settings[I_STRATEGY]
+    dimension = np.uint64(0)
+    while True:
+        set_ray(w.ray, w.ray_words, ox, oy, oz, dx, dy, dz, far, ray_type)
+        instance = np.int64(-1)
+        if first:
+            instance = _start(s, w, record, ox, oy, oz, dx, dy, dz)
+            hit = instance >= 0
+        else:
+            w.stats[RAYS] += 1
+            hit = intersect(s.tlas, w.ray_words)
+        t = w.ray[TFAR] if hit else far
+        part = np.int64(NO_PART)
+        if record != np.uint64(0):
+            part = STRAIGHT if bounce == 0 else CLEAR if second else NO_PART
+        if count and not first:
+            crossed = count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.ray_words, t, ray_type, s.settings[I_HITBOX_NEAREST])
+            if crossed > 0 and s.settings[I_UNBUILT] >= 0:
+                remember(s, w, s.settings[I_UNBUILT], tr, tg, tb)
+        if s.lights[L_COUNT_SHAPES] != np.uint64(0):
+            add_lamps_seen(s, w, ox, oy, oz, dx, dy, dz, t if hit else FAR, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before, part)
+        if bounce > 0:
+            part = NO_PART
+        if not hit:
+            if s.settings[I_TRANSPARENT_FILM] != 0 and background:
+                w.total[3] += (tr + tg + tb) * _THIRD
+            elif np.int64(s.lights[L_WORLD_VISIBILITY]) & (1 << ray_type) != 0:
+                r, g, b = world_radiance(s, dx, dy, dz)
+                if ray_type == _CAMERA and s.lights[L_SEEN] != np.uint64(0):
+                    r, g, b = environment_radiance(s.lights[L_SEEN], np.int64(s.lights[L_WIDTH]), np.int64(s.lights[L_HEIGHT]), dx, dy, dz)
+                f = _ONE
+                if mis and s.lights[L_IMAGE] != np.uint64(0):
+                    if strategy == BOTH:
+                        f = power_heuristic(pdf, world_density(s.lights, dx, dy, dz))
+                    elif strategy == LIGHT_ONLY:
+                        f = _ZERO
+                add_light(s, w, tr * r * f, tg * g * f, tb * b * f, bounce - 1, part)
+            return
+        if not first:
+            entry = entry_of(s, w.ray_words)
+            instance = np.int64(s.ids[entry])
+            if watched:
+                count_hit(s, instance, ray_type)
+                if s.weights != np.uint64(0) or s.log != np.uint64(0):
+                    remember(s, w, entry, tr, tg, tb)
+                if through and s.weights != np.uint64(0):
+                    add_worth(s, w, entry, FAR)
+        triangle = np.int64(load_u32(w.ray_words, PRIM_ID))
+        b1, b2 = w.ray[HIT_U], w.ray[HIT_V]
+        mesh = mesh_record(s.primary_meshes if first else s.meshes, s.table, instance)
+        m = s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance)
+        material = material_of(s.table, mesh, instance, triangle)
+        shader = np.int64(load_u32(material + M_SHADER, 0))
+        glows = emits(material)
+        u, roulette = uniform2(key, dimension)
+
+        # Russian roulette: the square root ends paths later than their brightness says, as displays show square roots.
+        survival = _ONE
+        if (transparent > 1) if straight else (bounce > 1):
+            survival = min(math.sqrt(max(tr, max(tg, tb))), _ONE)
+        ends = stop or roulette >= survival
+        if ends and not glows:
+            return
+        if last and not glows and not transmits_shadow(material):
+            return
+
+        interpolate(mesh, m, triangle, b1, b2, w.surf, w.frame)
+        back = face(w.frame, dx, dy, dz)
+        if composed(material):
+            _, u0 = uniform2(key, dimension + np.uint64(3))
+            material = part_of(s.table, mesh, material, triangle, b1, b2, ray_type + (_VIEWS if back else np.int64(0)), u0)
+            shader = np.int64(load_u32(material + M_SHADER, 0))
+            glows = emits(material)
+        if background and (shader == _HOLDOUT or np.int64(load_u8(s.table[T_FLAGS], instance)) & _HOLDOUT_FLAG != 0):
+            w.total[3] += (tr + tg + tb) * _THIRD
+            return
+        material_inputs(s.table, mesh, material, triangle, b1, b2, w.params)
+        apply_normal_map(s.table, mesh, m, material, triangle, b1, b2, back, w.frame)
+        flags = s.settings[I_SHADING] | (BACKFACING if back else 0)
+        if after_diffuse:
+            if s.settings[I_REFLECTIVE] == 0:
+                flags |= NO_REFLECTIVE_CAUSTICS
+            if s.settings[I_REFRACTIVE] == 0:
+                flags |= NO_REFRACTIVE_CAUSTICS
+        bsdf_setup(w.closure, w.params, shader, w.frame, flags)
+        if glows:
+            r, g, b = emission(s.table, mesh, material, triangle, b1, b2, back)
+            f = _ONE
+            if mis and load_u8(material + M_MIS, 0) != 0:
+                if strategy == BOTH:
+                    density = triangle_density(s.table, s.lights, s.nodes, s.children, instance, triangle, px, py, pz, nx, ny, nz, dx, dy, dz, t + before)
+                    f = power_heuristic(pdf, density)
+                elif strategy == LIGHT_ONLY:
+                    f = _ZERO
+            r *= f * np.float32(w.closure[C_EMISSION])
+            g *= f * np.float32(w.closure[C_EMISSION + 1])
+            b *= f * np.float32(w.closure[C_EMISSION + 2])
+            add_light(s, w, tr * r, tg * g, tb * b, bounce - 1, part)
+        if ends:
+            return
+        f = _ONE / survival
+        tr *= f
+        tg *= f
+        tb *= f
+        if last:
+            label = np.int64(TRANSPARENT)
+            tr *= np.float32(w.closure[C_TRANSPARENCY])
+            tg *= np.float32(w.closure[C_TRANSPARENCY + 1])
+            tb *= np.float32(w.closure[C_TRANSPARENCY + 2])
+        else:
+            blur = s.limits[V_FILTER_GLOSSY] * min_pdf
+            if s.limits[V_FILTER_GLOSSY] > _ZERO and blur < _ONE:
+                bsdf_blur(w.closure, 0.5 * math.sqrt(_ONE - blur))
+            if w.closure[C_HAS_EVAL] != 0.0 and lit:
+                u0, u1 = uniform2(key, dimension + np.uint64(1))
+                add_direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transparent, count, first)
+            u0, u1 = uniform2(key, dimension + np.uint64(2))
+            u2, _ = uniform2(key, dimension + np.uint64(3))
+            label = np.int64(bsdf_sample(w.closure, u0, u1, u2, w.out))
+            if label == 0:
+                return
+            tr *= np.float32(w.out[O_WEIGHT])
+            tg *= np.float32(w.out[O_WEIGHT + 1])
+            tb *= np.float32(w.out[O_WEIGHT + 2])
+        if not (tr > _ZERO or tg > _ZERO or tb > _ZERO):
+            return
+        if label & (TRANSPARENT | TRANSMIT) and load_u32(material + M_UNSURE, 0) != 0:
+            through = True
+        elif label & TRANSPARENT == 0:
+            through = False
+        dimension += np.uint64(_DIMENSIONS)
+        far = FAR
+        second = first
+        first = False
+        if label & TRANSPARENT:
+            transparent += 1
+            straight = True
+            stop = stop or transparent > s.settings[I_TRANSPARENT]
+            ox, oy, oz = offset_origin(w.surf, w.frame, dx, dy, dz)
+            before += t
+            continue
+        bounce += 1
+        last = bounce > s.settings[I_TOTAL]
+        if label & REFLECT:
+            background = False
+            if label & DIFFUSE:
+                diffuse += 1
+                last = last or diffuse > s.settings[I_DIFFUSE]
+                ray_type = np.int64(_DIFFUSE_RAY)
+            else:
+                glossy += 1
+                last = last or glossy > s.settings[I_GLOSSY]
+                ray_type = np.int64(_GLOSSY_RAY)
+        elif label & TRANSMIT:
+            background = False
+            transmission += 1
+            last = last or transmission > s.settings[I_TRANSMISSION]
+            ray_type = np.int64(_TRANSMISSION_RAY)
+        straight = False
+        after_diffuse = label & DIFFUSE != 0
+        mis = label & SINGULAR == 0
+        pdf = np.float32(w.out[O_PDF])
+        min_pdf = min(min_pdf, pdf)
+        px, py, pz = w.surf[0], w.surf[1], w.surf[2]
+        nx, ny, nz = w.frame[F_N], w.frame[F_N + 1], w.frame[F_N + 2]
+        before = _ZERO
+        dx, dy, dz, _ = normalize(np.float32(w.out[0]), np.float32(w.out[1]), np.float32(w.out[2]))
+        ox, oy, oz = offset_origin(w.surf, w.frame, dx, dy, dz)
+
+
+@njit(**OPTIONS)
+def trace_tile(x0, y0, x1, y1, a):
+    """Trace all samples of the pixels [x0, x1) x [y0, y1), or those paths that A_ONLY marks; a: addresses, A_*.
+
+    Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[2]; writes the light of each path to A_COLOR where that is given.
+    """
+    s = scenery(a)
+    work = np.empty(WORK + 16, np.uint8)
+    w = scratch((np.uint64(work.ctypes.data) + np.uint64(15)) & ~np.uint64(15))
+    w.stats[RAYS] = 0
+    width, height = s.settings[I_WIDTH], s.settings[I_HEIGHT]
+    camera, cameras = f32_pointer(a[A_CAMERA]), s.settings[I_CAMERAS]
+    pixel_filter = f32_pointer(a[A_FILTER])
+    sums = f32_pointer(a[A_SUMS])
+    parts = f32_pointer(a[A_PARTS])
+    seed = np.uint64(s.settings[I_SEED])
+    exposure = s.limits[V_EXPOSURE]
+    samples = s.settings[I_SAMPLES]
+    color = f32_pointer(a[A_COLOR])
+    paths = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            w.stats[W_TILE] = (y * ROWS // height) * COLUMNS + x * COLUMNS // width
+            r = g = b = t = _ZERO
+            for k in range(samples):
+                path = (y * width + x) * samples + k
+                if a[A_ONLY] != np.uint64(0) and load_u8(a[A_ONLY], path) == 0:
+                    continue
+                paths += 1
+                key = path_key(seed, np.uint64(y * width + x), np.uint64(s.settings[I_FIRST_SAMPLE] + k))
+                f0, f1 = uniform2(key, _FILTER)
+                l0, l1 = uniform2(key, _LENS)
+                if cameras > 1:
+                    time, _ = uniform2(key, _TIME)
+                    camera = f32_pointer(a[A_CAMERA] + np.uint64(4 * CAMERA) * np.uint64(min(np.int64(time * np.float32(cameras)), cameras - 1)))
+                record = np.uint64(0)
+                if a[A_PRIMARY] != np.uint64(0):  # its jitter is in the camera
+                    record = a[A_PRIMARY] + np.uint64(16) * np.uint64(y * width + x)
+                    f0 = f1 = np.float32(0.5)
+                u = (np.float32(x) + np.float32(0.5) + filter_offset(pixel_filter, f0)) / np.float32(width)
+                v = (np.float32(y) + np.float32(0.5) + filter_offset(pixel_filter, f1)) / np.float32(height)
+                ox, oy, oz, dx, dy, dz, far = camera_ray(camera, u, v, l0, l1)
+                w.stats[W_VERTICES] = 0
+                w.stats[W_RECORD] = np.int64(s.log + np.uint64(4 * RECORD) * np.uint64(path))
+                _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far)
+                if record != np.uint64(0):
+                    for c in range(PARTS):
+                        parts[PARTS * (y * width + x) + c] += exposure * w.total[PARTS_AT + c]
+                if s.weights != np.uint64(0):
+                    settle(s, w)
+                if a[A_COLOR] != np.uint64(0):
+                    known = record != np.uint64(0) and s.settings[I_LAMPS_KNOWN] != 0
+                    for c in range(3):
+                        color[3 * path + c] = w.total[c]
+                        if known:
+                            color[3 * path + c] -= w.total[PARTS_AT + CLEAR + c] + w.total[PARTS_AT + MAYBE + c]
+                r += w.total[0]
+                g += w.total[1]
+                b += w.total[2]
+                t += w.total[3]
+            i = 4 * (y * width + x)
+            sums[i] += r * exposure
+            sums[i + 1] += g * exposure
+            sums[i + 2] += b * exposure
+            sums[i + 3] += np.float32(samples) - t
+    atomic_add_int64(a[A_STATS] + np.uint64(8 * RAYS), w.stats[RAYS])
+    atomic_add_int64(a[A_STATS] + np.uint64(8 * PATHS), paths)
+    return work[0]  # keeps the work space alive until here

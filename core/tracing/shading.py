@@ -1,0 +1,518 @@
+"""From a hit to a shading point: position with its error, normals, UV, and the material's inputs.
+
+Kernels reach the scene through a table of addresses, uint64[TABLE], slots T_*: `SceneTable` makes it and keeps the arrays alive.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from ..jit.pointers import address, load_f32, load_i32, load_u8, load_u16, load_u32, load_u64, offset
+from ..jit.sampling import INNER, mix, normalize
+from ..scene.mesh import MESH
+from ..scene.model import MATERIAL, RAY_TYPES, Scene, Shader
+from .bsdf.lobes import (
+    F_N,
+    F_NG,
+    F_NS,
+    F_WI,
+    P_ALPHA,
+    P_BASE,
+    P_COAT,
+    P_COAT_IOR,
+    P_COAT_ROUGHNESS,
+    P_COAT_TINT,
+    P_DIFFUSE_ROUGHNESS,
+    P_IOR,
+    P_METALLIC,
+    P_ROUGHNESS,
+    P_SPECULAR_LEVEL,
+    P_SPECULAR_TINT,
+    P_TRANSMISSION,
+)
+from .textures import lookup, texture_uv_map
+
+T_TRANSFORM, T_MESH, T_SLOTS, T_FLAGS, T_SLOT_MATERIALS, T_MATERIALS, T_TEXTURES, T_BYTES, T_FLOATS = range(9)
+TABLE = 9
+
+# surf, float32[SURF]: a shading point, world space.
+S_P = 0  # position
+S_ERROR = 3  # bound of its error, and of Embree's, per axis
+S_BARY = 6  # barycentrics of vertices 1 and 2
+SURF = 8
+
+_MESH_SIZE = np.uint64(MESH.itemsize)
+_POSITIONS, _TRIANGLES, _NORMALS = offset(MESH, "positions"), offset(MESH, "triangles"), offset(MESH, "normals")
+_UVS, _MESH_SLOTS, _COUNT = offset(MESH, "uvs"), offset(MESH, "slots"), offset(MESH, "triangle_count")
+MATERIAL_SIZE = np.uint64(MATERIAL.itemsize)
+M_SHADER, M_EMISSION = offset(MATERIAL, "shader"), offset(MATERIAL, "emission")
+M_MIS, M_SINGLE_SIDED = offset(MATERIAL, "mis_emission"), offset(MATERIAL, "single_sided_emission")
+_BASE, _METALLIC, _ROUGHNESS = offset(MATERIAL, "base_color"), offset(MATERIAL, "metallic"), offset(MATERIAL, "roughness")
+_DIFFUSE_ROUGHNESS, _IOR, _LEVEL = offset(MATERIAL, "diffuse_roughness"), offset(MATERIAL, "ior"), offset(MATERIAL, "specular_level")
+_TINT, _TRANSMISSION, _ALPHA = offset(MATERIAL, "specular_tint"), offset(MATERIAL, "transmission"), offset(MATERIAL, "alpha")
+_COAT, _COAT_ROUGHNESS = offset(MATERIAL, "coat"), offset(MATERIAL, "coat_roughness")
+_COAT_IOR, _COAT_TINT, _STRENGTH = offset(MATERIAL, "coat_ior"), offset(MATERIAL, "coat_tint"), offset(MATERIAL, "normal_strength")
+_BASE_TEXTURE, _METALLIC_TEXTURE = offset(MATERIAL, "base_color_texture"), offset(MATERIAL, "metallic_texture")
+_ROUGHNESS_TEXTURE, _ALPHA_TEXTURE = offset(MATERIAL, "roughness_texture"), offset(MATERIAL, "alpha_texture")
+M_EMISSION_TEXTURE, _NORMAL_TEXTURE = offset(MATERIAL, "emission_texture"), offset(MATERIAL, "normal_texture")
+_TRANSMISSION_TEXTURE = offset(MATERIAL, "transmission_texture")
+_METALLIC_CHANNEL, _ROUGHNESS_CHANNEL = offset(MATERIAL, "metallic_channel"), offset(MATERIAL, "roughness_channel")
+_ALPHA_CHANNEL, _TRANSMISSION_CHANNEL = offset(MATERIAL, "alpha_channel"), offset(MATERIAL, "transmission_channel")
+_RAYS, _PARTS, M_UNSURE = offset(MATERIAL, "rays"), offset(MATERIAL, "parts"), offset(MATERIAL, "unsure")
+
+_PRINCIPLED, _TRANSPARENT = np.uint32(Shader.PRINCIPLED), np.uint32(Shader.TRANSPARENT)
+_MIX, _BY_RAY = np.uint32(Shader.MIX), np.uint32(Shader.BY_RAY)
+_ZERO, _ONE, _HALF, _TWO, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(2.0), np.float32(1.0 / 3.0)
+# Error bounds of `interpolate`, in units of float32's rounding
+_TRANSFORM, _TRIANGLE, _POSITION, _SLIVER = 12 * 2.0**-24, 4 * 2.0**-24, 2 * 2.0**-24, 2.0**10
+_BITS = np.float32(2.0**31)
+LIGHT_VIEW = RAY_TYPES  # for `part_of`: what light sampling sees
+_GEOMETRY_OFFSET = np.float32(0.1)  # Blender's default "Shadow Terminator Geometry Offset"
+
+
+class SceneTable:
+    """Addresses of a scene's arrays for the kernels; `table` is uint64[TABLE]."""
+
+    def __init__(self, scene: Scene) -> None:
+        i = scene.instances
+        self.arrays: tuple[np.ndarray[Any, Any], ...] = (
+            np.ascontiguousarray(i.transform, np.float32),
+            np.ascontiguousarray(i.mesh, np.int32),
+            np.ascontiguousarray(i.slots, np.int32),
+            np.ascontiguousarray(i.flags, np.uint8),
+            np.ascontiguousarray(scene.slot_materials, np.int32),
+            np.ascontiguousarray(scene.materials),
+            np.ascontiguousarray(scene.textures.records),
+            np.ascontiguousarray(scene.textures.bytes, np.uint8),
+            np.ascontiguousarray(scene.textures.floats, np.float32),
+        )
+        self.table = np.array([address(a) for a in self.arrays], np.uint64)
+
+
+@njit(**INNER)
+def mesh_record(meshes, table, instance):
+    """Address of the mesh record (blas.MESH) of an instance; meshes: address of the records."""
+    return meshes + np.uint64(load_i32(table[T_MESH], instance)) * _MESH_SIZE
+
+
+@njit(**INNER)
+def material_of(table, mesh, instance, triangle):
+    """Address of the material (scene.MATERIAL) of a triangle of an instance; mesh: address of its mesh record."""
+    slots = load_u64(mesh + _MESH_SLOTS, 0)
+    slot = np.int64(load_i32(table[T_SLOTS], instance))
+    if slots != np.uint64(0):
+        slot += np.int64(load_u16(slots, triangle))
+    return table[T_MATERIALS] + np.uint64(load_i32(table[T_SLOT_MATERIALS], slot)) * MATERIAL_SIZE
+
+
+@njit(**INNER)
+def corners(mesh, triangle):
+    """The corners of a triangle in object space: 9 float32."""
+    rows, p = load_u64(mesh + _TRIANGLES, 0), load_u64(mesh + _POSITIONS, 0)
+    a = 3 * np.int64(load_u32(rows, 3 * triangle))
+    b = 3 * np.int64(load_u32(rows, 3 * triangle + 1))
+    c = 3 * np.int64(load_u32(rows, 3 * triangle + 2))
+    return (
+        *(load_f32(p, a), load_f32(p, a + 1), load_f32(p, a + 2)),
+        *(load_f32(p, b), load_f32(p, b + 1), load_f32(p, b + 2)),
+        *(load_f32(p, c), load_f32(p, c + 1), load_f32(p, c + 2)),
+    )
+
+
+@njit(**INNER)
+def corner_normal(mesh, triangle, b1, b2):
+    """Interpolated shading normal in object space, not normalised; zeros where the mesh is flat shaded."""
+    n = load_u64(mesh + _NORMALS, 0)
+    if n == np.uint64(0):
+        return _ZERO, _ZERO, _ZERO
+    i = 9 * triangle
+    b0 = _ONE - b1 - b2
+    x = b0 * load_f32(n, i) + b1 * load_f32(n, i + 3) + b2 * load_f32(n, i + 6)
+    y = b0 * load_f32(n, i + 1) + b1 * load_f32(n, i + 4) + b2 * load_f32(n, i + 7)
+    z = b0 * load_f32(n, i + 2) + b1 * load_f32(n, i + 5) + b2 * load_f32(n, i + 8)
+    return x, y, z
+
+
+@njit(**INNER)
+def _unit64(x, y, z):
+    """(unit vector, length) in float64; a zero vector gives zeros."""
+    length = math.sqrt(x * x + y * y + z * z)
+    f = 1.0 / max(length, 1e-300)
+    return x * f, y * f, z * f, length
+
+
+@njit(**INNER)
+def interpolate(mesh, m, triangle, b1, b2, surf, frame):
+    """Position, its error bound and both normals of a point of a triangle.
+
+    mesh: address of the mesh record; m: address of the instance's transform. Fills surf, frame[F_NG], frame[F_NS] and frame[F_N], outward as the mesh says.
+
+    Computed in float64, so that neither a triangle of 1e-9 m loses its normal nor one of 1e4 m its millimetres; what is left of our error is the rounding of
+    the position. The bound is of that and of what Embree, in float32, makes of a ray from there (first-order bounds, as in pbrt-v4 section 6.8, u = 2^-24):
+    - Taking the origin to object space, M^-1 p - M^-1 t: three multiply-adds, two roundings of a cofactor, one of the division, and the determinant's four:
+      10 u of sums of |products|, not of results, which may cancel. Two more for what the result loses when it comes back by |M|.
+    - Vertices minus origin: u of the distances. The normal's direction, from edges of these differences: two roundings of each difference and two of each
+      product in the best conditioned cross product of two edges, relative to the area: 4 u times (1 + 1 / sine of the angle), capped at slivers of 2^-10.
+    """
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners(mesh, triangle)
+    ax, ay, az = np.float64(ax), np.float64(ay), np.float64(az)
+    b0 = 1.0 - np.float64(b1) - np.float64(b2)
+    x = b0 * ax + b1 * np.float64(bx) + b2 * np.float64(cx)
+    y = b0 * ay + b1 * np.float64(by) + b2 * np.float64(cy)
+    z = b0 * az + b1 * np.float64(bz) + b2 * np.float64(cz)
+    m00, m01, m02, tx = np.float64(load_f32(m, 0)), np.float64(load_f32(m, 1)), np.float64(load_f32(m, 2)), np.float64(load_f32(m, 3))
+    m10, m11, m12, ty = np.float64(load_f32(m, 4)), np.float64(load_f32(m, 5)), np.float64(load_f32(m, 6)), np.float64(load_f32(m, 7))
+    m20, m21, m22, tz = np.float64(load_f32(m, 8)), np.float64(load_f32(m, 9)), np.float64(load_f32(m, 10)), np.float64(load_f32(m, 11))
+    px = m00 * x + m01 * y + m02 * z + tx
+    py = m10 * x + m11 * y + m12 * z + ty
+    pz = m20 * x + m21 * y + m22 * z + tz
+    # Cofactors: rows of the inverse transpose times the determinant. Each is a difference whose terms bound its rounding: s..
+    c00, c01, c02 = m11 * m22 - m12 * m21, m12 * m20 - m10 * m22, m10 * m21 - m11 * m20
+    c10, c11, c12 = m02 * m21 - m01 * m22, m00 * m22 - m02 * m20, m01 * m20 - m00 * m21
+    c20, c21, c22 = m01 * m12 - m02 * m11, m02 * m10 - m00 * m12, m00 * m11 - m01 * m10
+    det = m00 * c00 + m01 * c01 + m02 * c02
+    inv = 1.0 / max(abs(det), 1e-300)
+    wx, wy, wz = abs(px) + abs(tx), abs(py) + abs(ty), abs(pz) + abs(tz)
+    n00, n01, n02, n10, n11, n12, n20, n21, n22 = abs(m00), abs(m01), abs(m02), abs(m10), abs(m11), abs(m12), abs(m20), abs(m21), abs(m22)
+    ox = inv * ((n11 * n22 + n12 * n21) * wx + (n02 * n21 + n01 * n22) * wy + (n01 * n12 + n02 * n11) * wz)
+    oy = inv * ((n12 * n20 + n10 * n22) * wx + (n00 * n22 + n02 * n20) * wy + (n02 * n10 + n00 * n12) * wz)
+    oz = inv * ((n10 * n21 + n11 * n20) * wx + (n01 * n20 + n00 * n21) * wy + (n00 * n11 + n01 * n10) * wz)
+    # The triangle: edges, area, distances of the vertices.
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
+    ww = (vx - ux) * (vx - ux) + (vy - uy) * (vy - uy) + (vz - uz) * (vz - uz)
+    shape = _TRIANGLE * (1.0 + min(math.sqrt(min(uu * vv, min(uu * ww, vv * ww))) / max(length, 1e-300), _SLIVER))
+    ox = _TRANSFORM * ox + shape * max(abs(ax - x), max(abs(bx - x), abs(cx - x)))
+    oy = _TRANSFORM * oy + shape * max(abs(ay - y), max(abs(by - y), abs(cy - y)))
+    oz = _TRANSFORM * oz + shape * max(abs(az - z), max(abs(bz - z), abs(cz - z)))
+    surf[S_P] = px
+    surf[S_P + 1] = py
+    surf[S_P + 2] = pz
+    surf[S_ERROR] = n00 * ox + n01 * oy + n02 * oz + _POSITION * abs(px)
+    surf[S_ERROR + 1] = n10 * ox + n11 * oy + n12 * oz + _POSITION * abs(py)
+    surf[S_ERROR + 2] = n20 * ox + n21 * oy + n22 * oz + _POSITION * abs(pz)
+    surf[S_BARY] = b1
+    surf[S_BARY + 1] = b2
+    s = 1.0 if det >= 0.0 else -1.0
+    gx, gy, gz, length = _unit64(s * (c00 * nx + c01 * ny + c02 * nz), s * (c10 * nx + c11 * ny + c12 * nz), s * (c20 * nx + c21 * ny + c22 * nz))
+    kx, ky, kz = corner_normal(mesh, triangle, b1, b2)
+    sx, sy, sz, length = _unit64(s * (c00 * kx + c01 * ky + c02 * kz), s * (c10 * kx + c11 * ky + c12 * kz), s * (c20 * kx + c21 * ky + c22 * kz))
+    if not length > 0.0:
+        sx, sy, sz = gx, gy, gz
+    frame[F_NG] = gx
+    frame[F_NG + 1] = gy
+    frame[F_NG + 2] = gz
+    frame[F_NS] = frame[F_N] = sx
+    frame[F_NS + 1] = frame[F_N + 1] = sy
+    frame[F_NS + 2] = frame[F_N + 2] = sz
+
+
+@njit(**INNER)
+def face(frame, dx, dy, dz):
+    """Turn the normals to the side that a ray of direction d came from and set F_WI. True where the surface is seen from its back."""
+    frame[F_WI] = -dx
+    frame[F_WI + 1] = -dy
+    frame[F_WI + 2] = -dz
+    back = frame[F_NG] * dx + frame[F_NG + 1] * dy + frame[F_NG + 2] * dz > _ZERO
+    if back:
+        for k in range(3, 12):
+            frame[k] = -frame[k]
+    return back
+
+
+@njit(**INNER)
+def offset_origin(surf, frame, dx, dy, dz):
+    """Where a ray of direction d starts that must not meet its own surface: moved along the geometric normal, to d's side, by the error bound
+    (pbrt-v4 section 6.8.6)."""
+    nx, ny, nz = frame[F_NG], frame[F_NG + 1], frame[F_NG + 2]
+    d = abs(nx) * surf[S_ERROR] + abs(ny) * surf[S_ERROR + 1] + abs(nz) * surf[S_ERROR + 2]
+    if nx * dx + ny * dy + nz * dz < _ZERO:
+        d = -d
+    return surf[S_P] + d * nx, surf[S_P + 1] + d * ny, surf[S_P + 2] + d * nz
+
+
+@njit(**INNER)
+def uv_at(mesh, uv_map, triangle, b1, b2):
+    """UV coordinates of a point of a triangle in map uv_map; zeros without maps."""
+    uvs = load_u64(mesh + _UVS, 0)
+    if uvs == np.uint64(0):
+        return _ZERO, _ZERO
+    i = 6 * (np.int64(uv_map) * np.int64(load_u64(mesh + _COUNT, 0)) + triangle)
+    b0 = _ONE - b1 - b2
+    u = b0 * load_f32(uvs, i) + b1 * load_f32(uvs, i + 2) + b2 * load_f32(uvs, i + 4)
+    v = b0 * load_f32(uvs, i + 1) + b1 * load_f32(uvs, i + 3) + b2 * load_f32(uvs, i + 5)
+    return u, v
+
+
+@njit(**INNER)
+def sample_texture(table, mesh, index, triangle, b1, b2):
+    """RGBA of a texture at a point of a triangle."""
+    u, v = uv_at(mesh, texture_uv_map(table[T_TEXTURES], index), triangle, b1, b2)
+    return lookup(table[T_TEXTURES], table[T_BYTES], table[T_FLOATS], index, u, v)
+
+
+@njit(**INNER)
+def sample_channel(table, mesh, index, channel, triangle, b1, b2):
+    """One scalar of a texture: channel as MATERIAL says."""
+    r, g, b, a = sample_texture(table, mesh, index, triangle, b1, b2)
+    if channel == 0:
+        return r
+    if channel == 1:
+        return g
+    if channel == 2:
+        return b
+    if channel == 3:
+        return a
+    return (r + g + b) * _THIRD
+
+
+@njit(**INNER)
+def material_inputs(table, mesh, material, triangle, b1, b2, params):
+    """Evaluate a material's BSDF inputs at a point of a triangle into params (lobes.P_*)."""
+    for k in range(3):
+        params[P_BASE + k] = load_f32(material + _BASE, k)
+        params[P_SPECULAR_TINT + k] = load_f32(material + _TINT, k)
+        params[P_COAT_TINT + k] = load_f32(material + _COAT_TINT, k)
+    params[P_METALLIC] = load_f32(material + _METALLIC, 0)
+    params[P_ROUGHNESS] = load_f32(material + _ROUGHNESS, 0)
+    params[P_DIFFUSE_ROUGHNESS] = load_f32(material + _DIFFUSE_ROUGHNESS, 0)
+    params[P_IOR] = load_f32(material + _IOR, 0)
+    params[P_SPECULAR_LEVEL] = load_f32(material + _LEVEL, 0)
+    params[P_TRANSMISSION] = load_f32(material + _TRANSMISSION, 0)
+    params[P_ALPHA] = load_f32(material + _ALPHA, 0)
+    params[P_COAT] = load_f32(material + _COAT, 0)
+    params[P_COAT_ROUGHNESS] = load_f32(material + _COAT_ROUGHNESS, 0)
+    params[P_COAT_IOR] = load_f32(material + _COAT_IOR, 0)
+    if table[T_TEXTURES] == np.uint64(0):
+        return
+    texture = load_i32(material + _BASE_TEXTURE, 0)
+    if texture >= 0:
+        r, g, b, _ = sample_texture(table, mesh, texture, triangle, b1, b2)
+        params[P_BASE] *= r
+        params[P_BASE + 1] *= g
+        params[P_BASE + 2] *= b
+    # Four scalar sockets in one loop, so that the lookup is compiled into this function once.
+    for k in range(4):
+        if k == 0:
+            texture, slot, channel = load_i32(material + _METALLIC_TEXTURE, 0), P_METALLIC, load_u8(material + _METALLIC_CHANNEL, 0)
+        elif k == 1:
+            texture, slot, channel = load_i32(material + _ROUGHNESS_TEXTURE, 0), P_ROUGHNESS, load_u8(material + _ROUGHNESS_CHANNEL, 0)
+        elif k == 2:
+            texture, slot, channel = load_i32(material + _ALPHA_TEXTURE, 0), P_ALPHA, load_u8(material + _ALPHA_CHANNEL, 0)
+        else:
+            texture, slot, channel = load_i32(material + _TRANSMISSION_TEXTURE, 0), P_TRANSMISSION, load_u8(material + _TRANSMISSION_CHANNEL, 0)
+        if texture >= 0:
+            params[slot] *= sample_channel(table, mesh, texture, channel, triangle, b1, b2)
+
+
+@njit(**INNER)
+def material_alpha(table, mesh, material, triangle, b1, b2, params):
+    """Only what a shadow ray needs: base colour and alpha into params."""
+    for k in range(3):
+        params[P_BASE + k] = load_f32(material + _BASE, k)
+    params[P_ALPHA] = load_f32(material + _ALPHA, 0)
+    if table[T_TEXTURES] == np.uint64(0):
+        return
+    texture = load_i32(material + _BASE_TEXTURE, 0)
+    if texture >= 0:
+        r, g, b, _ = sample_texture(table, mesh, texture, triangle, b1, b2)
+        params[P_BASE] *= r
+        params[P_BASE + 1] *= g
+        params[P_BASE + 2] *= b
+    texture = load_i32(material + _ALPHA_TEXTURE, 0)
+    if texture >= 0:
+        params[P_ALPHA] *= sample_channel(table, mesh, texture, load_u8(material + _ALPHA_CHANNEL, 0), triangle, b1, b2)
+
+
+@njit(**INNER)
+def composed(material):
+    """Whether a material consists of others: `part_of` tells which one counts."""
+    return load_u32(material + M_SHADER, 0) >= _MIX
+
+
+@njit(**INNER)
+def part_of(table, mesh, material, triangle, b1, b2, view, u):
+    """Address of the material that counts at a point of a composed one. view: ray type, or `LIGHT_VIEW`, plus VIEWS where seen from its back; u: a uniform
+    number, that picks the parts of a MIX by their shares."""
+    while True:
+        shader = load_u32(material + M_SHADER, 0)
+        if shader == _BY_RAY:
+            second = (np.int64(load_u16(material + _RAYS, 0)) >> view) & 1
+        elif shader == _MIX:
+            share = load_f32(material + _ALPHA, 0)
+            texture = load_i32(material + _ALPHA_TEXTURE, 0)
+            if texture >= 0 and table[T_TEXTURES] != np.uint64(0):
+                share *= sample_channel(table, mesh, texture, load_u8(material + _ALPHA_CHANNEL, 0), triangle, b1, b2)
+            share = min(max(share, _ZERO), _ONE)
+            second = np.int64(u < share)
+            u = u / share if u < share else (u - share) / (_ONE - share)  # u is below 1
+        else:
+            return material
+        material = table[T_MATERIALS] + np.uint64(load_i32(material + _PARTS, second)) * MATERIAL_SIZE
+
+
+@njit(**INNER)
+def hit_number(triangle, b1, b2):
+    """A uniform number that belongs to a point of a triangle: where a path has none of its own to pick a part by."""
+    x = np.uint64(np.int64(b1 * _BITS)) | np.uint64(np.int64(b2 * _BITS)) << np.uint64(32)
+    return np.float32(mix(mix(x) + np.uint64(triangle)) >> np.uint64(40)) * np.float32(2.0**-24)
+
+
+@njit(**INNER)
+def emission(table, mesh, material, triangle, b1, b2, back):
+    """Radiance that a surface emits at a point, before alpha and coat: 3 float32. back: seen from its back."""
+    r, g, b = load_f32(material + M_EMISSION, 0), load_f32(material + M_EMISSION, 1), load_f32(material + M_EMISSION, 2)
+    if back and load_u8(material + M_SINGLE_SIDED, 0) != 0:
+        return _ZERO, _ZERO, _ZERO
+    if r == _ZERO and g == _ZERO and b == _ZERO:
+        return r, g, b
+    texture = load_i32(material + M_EMISSION_TEXTURE, 0)
+    if texture >= 0 and table[T_TEXTURES] != np.uint64(0):
+        tr, tg, tb, _ = sample_texture(table, mesh, texture, triangle, b1, b2)
+        r *= tr
+        g *= tg
+        b *= tb
+    return r, g, b
+
+
+@njit(**INNER)
+def emits(material):
+    """Whether a material emits anywhere."""
+    return load_f32(material + M_EMISSION, 0) > _ZERO or load_f32(material + M_EMISSION, 1) > _ZERO or load_f32(material + M_EMISSION, 2) > _ZERO
+
+
+@njit(**INNER)
+def transmits_shadow(material):
+    """Whether a shadow ray may pass a material at all."""
+    shader = load_u32(material + M_SHADER, 0)
+    if shader == _TRANSPARENT or shader >= _MIX:
+        return True
+    return shader == _PRINCIPLED and (load_f32(material + _ALPHA, 0) < _ONE or load_i32(material + _ALPHA_TEXTURE, 0) >= 0)
+
+
+@njit(**INNER)
+def attenuates_emission(material):
+    """Whether alpha or coat lie over a material's emission."""
+    if load_u32(material + M_SHADER, 0) != _PRINCIPLED:
+        return False
+    return load_f32(material + _ALPHA, 0) < _ONE or load_i32(material + _ALPHA_TEXTURE, 0) >= 0 or load_f32(material + _COAT, 0) > _ZERO
+
+
+@njit(**INNER)
+def apply_normal_map(table, mesh, m, material, triangle, b1, b2, back, frame):
+    """Bend frame[F_N] by the material's tangent-space normal map. m: address of the instance's transform.
+
+    The tangent is that of the triangle's own UV gradient, made orthogonal to the interpolated normal.
+    """
+    texture = load_i32(material + _NORMAL_TEXTURE, 0)
+    if texture < 0 or table[T_TEXTURES] == np.uint64(0):
+        return
+    uv_map = texture_uv_map(table[T_TEXTURES], texture)
+    u0, v0 = uv_at(mesh, uv_map, triangle, _ZERO, _ZERO)
+    u1, v1 = uv_at(mesh, uv_map, triangle, _ONE, _ZERO)
+    u2, v2 = uv_at(mesh, uv_map, triangle, _ZERO, _ONE)
+    du1, dv1, du2, dv2 = u1 - u0, v1 - v0, u2 - u0, v2 - v0
+    area = du1 * dv2 - du2 * dv1
+    if area == _ZERO:
+        return
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners(mesh, triangle)
+    s = _ONE if area > _ZERO else -_ONE
+    ox = s * (dv2 * (bx - ax) - dv1 * (cx - ax))
+    oy = s * (dv2 * (by - ay) - dv1 * (cy - ay))
+    oz = s * (dv2 * (bz - az) - dv1 * (cz - az))
+    tx = load_f32(m, 0) * ox + load_f32(m, 1) * oy + load_f32(m, 2) * oz
+    ty = load_f32(m, 4) * ox + load_f32(m, 5) * oy + load_f32(m, 6) * oz
+    tz = load_f32(m, 8) * ox + load_f32(m, 9) * oy + load_f32(m, 10) * oz
+    det = (
+        load_f32(m, 0) * (load_f32(m, 5) * load_f32(m, 10) - load_f32(m, 6) * load_f32(m, 9))
+        - load_f32(m, 1) * (load_f32(m, 4) * load_f32(m, 10) - load_f32(m, 6) * load_f32(m, 8))
+        + load_f32(m, 2) * (load_f32(m, 4) * load_f32(m, 9) - load_f32(m, 5) * load_f32(m, 8))
+    )
+    if det < _ZERO:
+        s = -s  # a mirrored instance turns the handedness of its tangent space
+    f = -_ONE if back else _ONE  # the map is defined about the outward normal
+    nx, ny, nz = f * frame[F_NS], f * frame[F_NS + 1], f * frame[F_NS + 2]
+    d = tx * nx + ty * ny + tz * nz
+    tx, ty, tz, _ = normalize(tx - d * nx, ty - d * ny, tz - d * nz)
+    qx, qy, qz = s * (ny * tz - nz * ty), s * (nz * tx - nx * tz), s * (nx * ty - ny * tx)
+    r, g, b, _ = sample_texture(table, mesh, texture, triangle, b1, b2)
+    strength = load_f32(material + _STRENGTH, 0)
+    mx, my, mz = _TWO * r - _ONE, _TWO * g - _ONE, _TWO * b - _ONE
+    wx, wy, wz, length = normalize(mx * tx + my * qx + mz * nx, mx * ty + my * qy + mz * ny, mx * tz + my * qz + mz * nz)
+    if not length > _ZERO:
+        return
+    if strength != _ONE:
+        k = max(strength, _ZERO)
+        wx, wy, wz, length = normalize(nx + k * (wx - nx), ny + k * (wy - ny), nz + k * (wz - nz))
+        if not length > _ZERO:
+            return
+    frame[F_N] = f * wx
+    frame[F_N + 1] = f * wy
+    frame[F_N + 2] = f * wz
+
+
+@njit(**INNER)
+def shadow_origin(mesh, m, triangle, surf, frame, lx, ly, lz):
+    """Where a shadow ray towards l starts: `offset_origin`, and near the terminator of a smooth-shaded mesh lifted off the flat triangle.
+
+    The lift follows the curved surface that the normals suggest (Cycles' "geometry offset", after Hanika, "Hacking the shadow terminator", Ray Tracing
+    Gems II, 2021): each corner's tangent plane is raised to the point, the smallest lift wins.
+    """
+    n = load_u64(mesh + _NORMALS, 0)
+    if n == np.uint64(0):
+        return offset_origin(surf, frame, lx, ly, lz)
+    cos_n = frame[F_NS] * lx + frame[F_NS + 1] * ly + frame[F_NS + 2] * lz
+    flip = -_ONE if cos_n < _ZERO else _ONE
+    cos_n = abs(cos_n)
+    cos_g = flip * (frame[F_NG] * lx + frame[F_NG + 1] * ly + frame[F_NG + 2] * lz)
+    if cos_n < _GEOMETRY_OFFSET:
+        amount = _TWO - (cos_g + cos_n) / _GEOMETRY_OFFSET
+    else:
+        amount = _ONE - cos_g / _GEOMETRY_OFFSET
+    amount = min(max(amount, _ZERO), _ONE)
+    if amount == _ZERO:
+        return offset_origin(surf, frame, lx, ly, lz)
+    b1, b2 = surf[S_BARY], surf[S_BARY + 1]
+    b0 = _ONE - b1 - b2
+    i = 9 * triangle
+    nx0, ny0, nz0 = load_f32(n, i), load_f32(n, i + 1), load_f32(n, i + 2)
+    nx1, ny1, nz1 = load_f32(n, i + 3), load_f32(n, i + 4), load_f32(n, i + 5)
+    nx2, ny2, nz2 = load_f32(n, i + 6), load_f32(n, i + 7), load_f32(n, i + 8)
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners(mesh, triangle)
+    px, py, pz = b0 * ax + b1 * bx + b2 * cx, b0 * ay + b1 * by + b2 * cy, b0 * az + b1 * bz + b2 * cz
+    nx, ny, nz = b0 * nx0 + b1 * nx1 + b2 * nx2, b0 * ny0 + b1 * ny1 + b2 * ny2, b0 * nz0 + b1 * nz1 + b2 * nz2
+    wx = load_f32(m, 0) * nx + load_f32(m, 1) * ny + load_f32(m, 2) * nz
+    wy = load_f32(m, 4) * nx + load_f32(m, 5) * ny + load_f32(m, 6) * nz
+    wz = load_f32(m, 8) * nx + load_f32(m, 9) * ny + load_f32(m, 10) * nz
+    # Second-order height of the curved surface above the flat triangle.
+    a = (nx2 - nx0) * (ax - cx) + (ny2 - ny0) * (ay - cy) + (nz2 - nz0) * (az - cz)
+    b = (nx2 - nx1) * (bx - cx) + (ny2 - ny1) * (by - cy) + (nz2 - nz1) * (bz - cz)
+    c = (nx1 - nx0) * (bx - ax) + (ny1 - ny0) * (by - ay) + (nz1 - nz0) * (bz - az)
+    height = a * b0 * (b0 - _ONE) + (a + b + c) * b0 * b1 + b * b1 * (b1 - _ONE)
+    side = flip * (wx * frame[F_NG] + wy * frame[F_NG + 1] + wz * frame[F_NG + 2])
+    s = _ONE if side > _ZERO else -_ONE
+    # Heights of the corners and of the point over each corner's tangent plane, on the light's side.
+    d01 = (bx - ax) * nx0 + (by - ay) * ny0 + (bz - az) * nz0
+    d02 = (cx - ax) * nx0 + (cy - ay) * ny0 + (cz - az) * nz0
+    d10 = (ax - bx) * nx1 + (ay - by) * ny1 + (az - bz) * nz1
+    d12 = (cx - bx) * nx1 + (cy - by) * ny1 + (cz - bz) * nz1
+    d20 = (ax - cx) * nx2 + (ay - cy) * ny2 + (az - cz) * nz2
+    d21 = (bx - cx) * nx2 + (by - cy) * ny2 + (bz - cz) * nz2
+    h0 = max(max(s * d01, s * d02), _ZERO) + s * ((ax - px) * nx0 + (ay - py) * ny0 + (az - pz) * nz0)
+    h1 = max(max(s * d10, s * d12), _ZERO) + s * ((bx - px) * nx1 + (by - py) * ny1 + (bz - pz) * nz1)
+    h2 = max(max(s * d20, s * d21), _ZERO) + s * ((cx - px) * nx2 + (cy - py) * ny2 + (cz - pz) * nz2)
+    lift = s * max(min(max(h0, _ZERO), min(max(h1, _ZERO), max(h2, _ZERO))), s * height * _HALF)
+    lift = lift * amount if math.isfinite(lift) else _ZERO
+    # A light below the flat triangle is meant to be blocked by it: start on the triangle's lit side all the same.
+    if cos_g <= _ZERO:
+        ox, oy, oz = offset_origin(surf, frame, flip * frame[F_NG], flip * frame[F_NG + 1], flip * frame[F_NG + 2])
+    else:
+        ox, oy, oz = offset_origin(surf, frame, lx, ly, lz)
+    return ox + wx * lift, oy + wy * lift, oz + wz * lift

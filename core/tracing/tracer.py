@@ -1,0 +1,271 @@
+"""Path tracing of a scene: what is built once per scene (`prepare`), and one picture over a TLAS (`trace`)."""
+
+from __future__ import annotations
+
+import dataclasses
+import operator
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..accel.blas import BlasCache
+from ..accel.hitboxes import ALL_CROSSINGS, Hitboxes
+from ..accel.tlas import Tlas
+from ..arrays import F32
+from ..feedback.hits import Feedback
+from ..feedback.path_log import PathLog
+from ..jit.pointers import address
+from ..progress import Progress, silent
+from ..scene.camera import camera_constants
+from ..scene.change import Change
+from ..scene.film import Picture, filter_offsets
+from ..scene.model import Instances, Scene, Shader
+from . import path_state as state
+from .bsdf.lobes import SHADING_FLAGS
+from .lights.lamps import FAR
+from .lights.lights import Lights, emissive_instances
+from .path_kernel import trace_tile
+from .second_process import share
+from .shading import SceneTable
+
+TILE = 16
+Tile = tuple[int, int, int, int]  # x, y, and where it ends
+_POLL = 0.05  # seconds between looks at progress and cancellation
+_INT32_MAX = 2**31 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A scene in the form that kernels read; valid as long as the scene does not change."""
+
+    scene: Scene
+    blas: BlasCache
+    table: SceneTable
+    lights: Lights
+    camera: F32
+    pixel_filter: F32
+
+    @property
+    def emissive(self) -> NDArray[np.int64]:
+        """Indices of the instances that are sampled as lights, culled or not."""
+        return self.lights.emissive
+
+    def with_instances(self, instances: Instances) -> Prepared:
+        """The same scene and lights with other visibility flags, transforms or slots of its instances."""
+        scene = dataclasses.replace(self.scene, instances=instances)
+        return dataclasses.replace(self, scene=scene, table=SceneTable(scene))
+
+    def with_emitters(self, active: NDArray[np.bool_]) -> Prepared:
+        """The same scene where only those emissive instances light it that are active, (N,) bool: what is left when the others are removed."""
+        kept = emissive_instances(self.scene)
+        lights = Lights(self.scene, kept[active[kept]], self.lights.meshes)
+        return Prepared(self.scene, self.blas, self.table, lights, self.camera, self.pixel_filter)
+
+
+def prepare(scene: Scene, blas: BlasCache) -> Prepared:
+    """Build lights, camera and tables of a scene whose loaded meshes are in blas. Loads the meshes of emissive instances, no other, and keeps them."""
+    return Prepared(scene, blas, SceneTable(scene), Lights(scene), _cameras(scene), filter_offsets(scene.film))
+
+
+def advanced(prepared: Prepared, scene: Scene, change: Change) -> Prepared:
+    """`prepare` for the next frame of a scene: lights are made anew only where one of them may be another, from the meshes that are the same."""
+    lights = prepared.lights
+    changed = {*change.deformed.tolist(), *change.replaced.tolist()}.intersection(lights.meshes)
+    emits = change.moved is not None and bool((scene.materials["emission"] > 0).any())
+    if change.shading or change.previous is not None or changed or emits:
+        lights = Lights(scene, None, {m: mesh for m, mesh in lights.meshes.items() if m not in changed})
+    pixel_filter = prepared.pixel_filter if scene.film == prepared.scene.film else filter_offsets(scene.film)
+    return Prepared(scene, prepared.blas, SceneTable(scene), lights, _cameras(scene), pixel_filter)
+
+
+def _cameras(scene: Scene) -> F32:
+    """(C, CAMERA) float32, constants of the cameras that paths start at."""
+    return np.stack([camera_constants(camera) for camera in scene.shutter or (scene.camera,)])
+
+
+def has_transparent_shadows(scene: Scene) -> bool:
+    """Whether some material lets shadow rays through."""
+    m = scene.materials
+    through = (m["shader"] == Shader.TRANSPARENT) | (m["shader"] >= Shader.MIX)
+    return bool((through | ((m["shader"] == Shader.PRINCIPLED) & ((m["alpha"] < 1) | (m["alpha_texture"] >= 0)))).any())
+
+
+def trace(
+    prepared: Prepared,
+    tlas: Tlas,
+    samples: int,
+    first_sample: int = 0,
+    seed: int = 0,
+    feedback: Feedback | None = None,
+    hitbox_every: int = 1,
+    nearest: int = ALL_CROSSINGS,
+    size: tuple[int, int] | None = None,
+    threads: int = 0,
+    progress: Progress = silent,
+    cancelled: Callable[[], bool] | None = None,
+    strategy: int = state.BOTH,
+    log: PathLog | None = None,
+    only: NDArray[np.uint8] | None = None,
+    boxes: Hitboxes | None = None,
+) -> Picture:
+    """Trace samples paths per pixel through the instances in tlas.
+
+    first_sample, seed: which random numbers; the same ones give the same picture and counts, bit for bit, at any number of threads.
+    feedback: hits and box crossings are added to it; nearest: boxes counted per segment (hitboxes.ALL_CROSSINGS: every one); hitbox_every: count boxes on
+    one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled now and then; where it
+    says True the picture is returned as far as it is. strategy: path_state.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
+    log: gets the light of each path (less light that is known without tracing, `FirstHitBuffer.lamps_known`), and, where feedback is given, what the path met.
+    only: (H, W, samples) uint8, trace those paths that are not 0.
+    Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of what is culled, to tell for the parts
+    which light of lamps that may block.
+    """
+    share()
+    scene = prepared.scene
+    if not prepared.blas.table["triangle_count"][scene.instances.mesh[tlas.ids]].all():
+        raise RuntimeError("a mesh was freed that the TLAS shows")
+    width, height = size or (scene.film.width, scene.film.height)
+    sums = np.zeros((height, width, 4), np.float32)
+    stats = np.zeros(2, np.int64)
+    settings, limits = _settings(scene, width, height, samples, first_sample, seed, hitbox_every, nearest, strategy)
+    if feedback is not None and feedback.weights is not None:
+        weights = feedback.weights
+        limits[state.V_AMBIENT], limits[state.V_UNITS] = weights.ambient, 1 / weights.unit
+        settings[state.I_WEIGHED_FROM] = weights.first
+        if weights.first + len(weights.light) > len(tlas):
+            settings[state.I_UNBUILT] = len(tlas)
+    addresses = _addresses(prepared, tlas, feedback, settings, limits, sums, stats)
+    if log is not None:
+        addresses[state.A_COLOR] = address(log.color)
+        addresses[state.A_LOG] = address(log.records) if feedback is not None else 0
+    entries = np.zeros(0, np.int32)
+    if feedback is not None and (feedback.weights is not None or log is not None):
+        entries = np.full(len(scene.instances), -1, np.int32)  # of emitters, that light sampling finds
+        entries[tlas.ids] = np.arange(len(tlas), dtype=np.int32)
+        addresses[state.A_ENTRIES] = address(entries)
+    if only is not None:
+        addresses[state.A_ONLY] = address(only)
+    parts, primary = None, scene.first_hits.get((width, height))
+    if primary is not None:
+        parts, camera = np.zeros((height, width, state.PARTS), np.float32), camera_constants(primary.camera)
+        addresses[state.A_PARTS], addresses[state.A_CAMERA] = address(parts), address(camera)
+        settings[state.I_LAMPS_KNOWN], settings[state.I_CAMERAS] = primary.lamps_known, 1
+        addresses[state.A_PRIMARY], addresses[state.A_PRIMARY_MESHES] = address(primary.hits), address(primary.meshes.table)
+        if boxes is not None and len(boxes):
+            addresses[state.BOXES], addresses[state.A_BOX_COUNTERS] = boxes.handle, address(boxes.counters)
+            addresses[state.N_BOXES] = len(boxes)
+    tiles = [(x, y, min(x + TILE, width), min(y + TILE, height)) for y in range(0, height, TILE) for x in range(0, width, TILE)]
+    if only is not None:
+        tiles = [(x, y, x1, y1) for x, y, x1, y1 in tiles if only[y:y1, x:x1].any()]
+    _run(tiles, lambda tile: trace_tile(*tile, addresses), threads, f"tracing {width} x {height}, {samples} paths per pixel", progress, cancelled)
+    return Picture(sums, samples, int(stats[state.PATHS]), int(stats[state.RAYS]), parts)
+
+
+def _run(
+    tiles: Sequence[Tile], work: Callable[[Tile], None], threads: int, text: str, progress: Progress, cancelled: Callable[[], bool] | None
+) -> None:
+    """Work on all tiles, each thread on the next one that nobody has taken; progress and cancelled are asked for now and then."""
+    if cancelled and cancelled():
+        return
+    left, stop = iter(tiles), threading.Event()
+
+    def take() -> None:
+        for tile in left:  # list iterators hand out each item once, whoever asks
+            if stop.is_set():
+                return
+            work(tile)
+
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        running = {pool.submit(take) for _ in range(min(threads or os.cpu_count() or 1, len(tiles)))}
+        try:
+            while running:
+                done, running = wait(running, _POLL)
+                if cancelled and cancelled():
+                    stop.set()
+                for future in done:
+                    future.result()
+                progress(1 - operator.length_hint(left) / len(tiles), text)
+        finally:
+            stop.set()
+
+
+def _settings(
+    scene: Scene, width: int, height: int, samples: int, first_sample: int, seed: int, hitbox_every: int, nearest: int, strategy: int
+) -> tuple[NDArray[np.int64], F32]:
+    """The kernel's settings and limits."""
+    limits = scene.limits
+    settings = np.zeros(state.SETTINGS, np.int64)
+    for slot, value in {
+        state.I_WIDTH: width,
+        state.I_HEIGHT: height,
+        state.I_FIRST_SAMPLE: first_sample,
+        state.I_SAMPLES: samples,
+        state.I_SEED: seed,
+        state.I_TOTAL: limits.total,
+        state.I_DIFFUSE: limits.diffuse,
+        state.I_GLOSSY: limits.glossy,
+        state.I_TRANSMISSION: limits.transmission,
+        state.I_TRANSPARENT: limits.transparent,
+        state.I_REFLECTIVE: limits.caustics_reflective,
+        state.I_REFRACTIVE: limits.caustics_refractive,
+        state.I_SHADING: SHADING_FLAGS[limits.shading],
+        state.I_TRANSPARENT_FILM: scene.film.transparent,
+        state.I_TRANSPARENT_SHADOWS: has_transparent_shadows(scene),
+        state.I_HITBOX_EVERY: hitbox_every,
+        state.I_HITBOX_NEAREST: nearest,
+        state.I_STRATEGY: strategy,
+        state.I_CAMERAS: max(len(scene.shutter), 1),
+        state.I_UNBUILT: -1,
+    }.items():
+        settings[slot] = value
+    values = np.zeros(state.LIMITS, np.float32)
+    values[state.V_CLAMP_DIRECT] = 3 * limits.clamp_direct if limits.clamp_direct > 0 else FAR
+    values[state.V_CLAMP_INDIRECT] = 3 * limits.clamp_indirect if limits.clamp_indirect > 0 else FAR
+    values[state.V_FILTER_GLOSSY] = 1 / limits.filter_glossy if limits.filter_glossy > 0 else 0
+    values[state.V_EXPOSURE] = scene.film.exposure
+    values[state.V_WORLD : state.V_WORLD + 3] = scene.world.color
+    return settings, values
+
+
+def _addresses(
+    prepared: Prepared,
+    tlas: Tlas,
+    feedback: Feedback | None,
+    settings: NDArray[np.int64],
+    limits: F32,
+    sums: F32,
+    stats: NDArray[np.int64],
+) -> NDArray[np.uint64]:
+    """Where the kernel finds everything; the caller keeps it alive."""
+    lights = prepared.lights
+    out = np.zeros(state.ADDRESSES, np.uint64)
+    places: dict[int, int] = {
+        state.A_TABLE: address(prepared.table.table),
+        state.A_LIGHTS: address(lights.table),
+        state.A_LAMPS: address(lights.lamps),
+        state.A_NODES: address(lights.nodes),
+        state.A_CHILDREN: address(lights.children),
+        state.A_MESHES: address(prepared.blas.table),
+        state.TLAS: int(tlas.handle),
+        state.A_IDS: address(tlas.ids),
+        state.A_FIRST: address(tlas.first),
+        state.A_SETTINGS: address(settings),
+        state.A_LIMITS: address(limits),
+        state.A_CAMERA: address(prepared.camera),
+        state.A_FILTER: address(prepared.pixel_filter),
+        state.A_SUMS: address(sums),
+        state.A_STATS: address(stats),
+    }
+    for slot, value in places.items():
+        out[slot] = value
+    if feedback is not None:
+        out[state.HITBOXES] = feedback.hitboxes
+        out[state.A_COUNTERS], out[state.N_COUNTERS] = address(feedback.boxes), len(feedback.boxes)
+        out[state.A_FEEDBACK] = address(feedback.hits)
+        if feedback.weights is not None:
+            out[state.A_WEIGHTS], out[state.A_TILE_LIGHT] = address(feedback.weights.light), address(feedback.weights.total)
+    return out

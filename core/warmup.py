@@ -1,0 +1,94 @@
+"""Compiled kernels: loaded ahead while something else goes on, and, the first time, compiled, which is said."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from numba import int64, uint64
+from numba.core import event
+
+from .jit.kernel_cache import kept
+from .progress import Progress, clock
+
+KERNELS = 120  # kept when the path tracing kernel, which unites most of them, is all that is left to compile, about
+LAST = 0.15  # of the whole time, for that one
+
+
+def load_ahead() -> None:
+    """Load the engine and its kernels in a thread of their own, where they were compiled before: whoever needs them finds them there, or waits for the rest.
+
+    Worth while before work that leaves Python alone, such as Blender opening a file. It does nothing that would not be done later.
+    """
+    folder = os.environ.get("NUMBA_CACHE_DIR")  # by kernel_cache
+    if not folder or not any(Path(folder).glob("*/path_kernel.trace_tile-*.nbi")):
+        return
+
+    def load() -> None:
+        with suppress(Exception):  # whoever needs it meets the error, and can tell the user
+            from .culling import shot as frames  # noqa: F401
+            from .tracing.path_kernel import trace_tile
+
+            trace_tile.compile((int64, int64, int64, int64, uint64[::1]))
+
+    threading.Thread(target=load, name="kernels").start()
+
+
+class _Compiling(event.Listener):
+    """Forwards a progress; while kernels are compiled it tells that instead."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress, self._lock = progress, threading.Lock()
+        self._depth = self._done = 0
+        self._first: float | None = None  # when compiling began
+        self._begun = 0.0  # what share was there before
+        self._united: float | None = None  # seconds until the last one began
+
+    def __call__(self, fraction: float, what: str) -> None:
+        with self._lock:  # kernels are compiled on whichever thread calls them first
+            if self._depth:
+                fraction, what = math.nan, self._text()
+            self._progress(fraction, what)
+
+    def _text(self) -> str:
+        if self._first is None:
+            self._first, self._begun = time.monotonic(), self._share(0.0)
+        spent = time.monotonic() - self._first
+        share = self._share(spent)
+        done = share - self._begun
+        left = f", about {clock(spent * (1 - share) / done)} left" if done > 0.1 else ""
+        return f"compiling kernels, the first time only: {share:.0%}{left}"
+
+    def _share(self, spent: float) -> float:
+        """What share of the work is done after so many seconds. Of what is kept on disk: another process may compile, too (`core.tracing.second_process`)."""
+        done = max(self._done, kept())
+        if done < KERNELS:
+            return (1 - LAST) * done / KERNELS
+        self._united = self._united or max(spent, 1e-3)
+        return min((1 - LAST) * spent / self._united, 0.99)
+
+    def on_start(self, event: event.Event) -> None:
+        """One more is being compiled, perhaps for the sake of one that is."""
+        self._depth += 1
+        self(math.nan, "")
+
+    def on_end(self, event: event.Event) -> None:
+        """One is compiled."""
+        self._done += 1
+        self._depth -= 1
+
+
+@contextmanager
+def telling(progress: Progress) -> Iterator[Progress]:
+    """A progress that forwards to the one given, and says so while kernels are being compiled."""
+    compiling = _Compiling(progress)
+    event.register("numba:compile", compiling)
+    try:
+        yield compiling
+    finally:
+        event.unregister("numba:compile", compiling)

@@ -1,0 +1,145 @@
+"""What culling changed in a frame, measured by the engine that renders it: crops of the picture, rendered full and culled with the same random numbers.
+
+The analysis states the error that its own path tracer measured. This asks the engine whose picture it is, at the price of rendering crops of the full scene.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.arrays import F32, F64
+from ...core.culling.loop import Loop
+from ...core.culling.options import CullOptions
+from ...core.error_budget.budget import Budget
+from ...core.feedback.tiles import COLUMNS, DARK, ROWS
+from ...core.progress import Progress, part, silent
+from ...core.scene.film import LUMINANCE
+from ...core.scene.model import Scene
+from .. import writeback
+from ..console import muted
+from ..pictures import read_picture
+from .engines import render_blender
+
+GRID = (4, 3)  # crops of a picture, across and up: each has 4 x 3 coarse tiles
+PATH_SAMPLES = 64  # of the path tracer, at most
+PATH_SEED = 0x766572  # so that its random numbers are never those of an analysis
+NOISE = 3.0  # standard errors: what is above a bound by less may be noise
+Crop = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Verified:
+    """Relative change of the coarse tiles of the crops: their mean, and the worst of them. crops: (K,) columns and rows of GRID, rows from the bottom.
+
+    least_mean, least_worst: what is left of both when NOISE standard errors of the pixels' differences are taken off.
+    """
+
+    mean: float
+    worst: float
+    least_mean: float
+    least_worst: float
+    crops: tuple[Crop, ...]
+
+    def entry(self) -> dict[str, object]:
+        """For a frame of report.json."""
+        crops = [list(crop) for crop in self.crops]
+        least = {"verified_least_mean": self.least_mean, "verified_least_worst": self.least_worst}
+        return {"verified_mean": self.mean, "verified_worst": self.worst, **least, "verified_crops": crops}
+
+    def breaks(self, budget: Budget) -> bool:
+        """Whether the change is surely above a bound, whatever the noise of the crops."""
+        return self.least_mean > budget.mean or self.least_worst > budget.worst
+
+    def warning(self, budget: Budget) -> str:
+        """What to tell where it is."""
+        return (
+            f"verified: the picture changes by {100 * self.mean:.2g} % in the mean, {100 * self.worst:.2g} % in the worst tile, which is more than the "
+            f"{100 * budget.mean:.2g} % and {100 * budget.worst:.2g} % that --max-error allows; --enforce repeats the analysis until it is not"
+        )
+
+
+def random_crops(count: int, seed: int) -> tuple[Crop, ...]:
+    """So many different crops."""
+    cells = np.random.default_rng(seed).permutation(GRID[0] * GRID[1])[:count]
+    return tuple((int(cell % GRID[0]), int(cell // GRID[0])) for cell in sorted(cells))
+
+
+def verified_blender(engine: str, samples: int | None, seed: int, threads: int, count: int, progress: Progress = silent) -> Verified:
+    """The change of so many crops of the open file's current frame, whose culling is applied and is not afterwards; options as of `render_blender`."""
+    crops = random_crops(count, seed)
+    culled = _blender_crops(engine, samples, seed, threads, crops, part(progress, 0.0, 0.3, "culled, "))
+    with muted():
+        writeback.restore()
+    return change(_blender_crops(engine, samples, seed, threads, crops, part(progress, 0.3, 1.0, "full, ")), culled, crops)
+
+
+def verified_path(
+    scene: Scene, active: NDArray[np.bool_], samples: int, seed: int, threads: int, count: int, cancelled: Callable[[], bool]
+) -> Verified:
+    """The change of so many crops of a core scene by the path tracer, with only active, (N,) bool, in it. Raises Cancelled."""
+    crops = random_crops(count, seed)
+    return change(*_path_crops(scene, active, samples, seed, threads, crops, cancelled), crops)
+
+
+def _blender_crops(
+    engine: str, samples: int | None, seed: int, threads: int, crops: tuple[Crop, ...], progress: Progress = silent
+) -> list[F32]:
+    """Each crop of the open file's current frame, as it is now, by one of Blender's engines: (h, w, 4) float32. Options as of `render_blender`."""
+    out = []
+    with tempfile.TemporaryDirectory(prefix="lipac") as folder:
+        for k, (x, y) in enumerate(crops):
+            stem = Path(folder) / f"{x}{y}"
+            border = (x / GRID[0], y / GRID[1], (x + 1) / GRID[0], (y + 1) / GRID[1])
+            within = part(progress, k / len(crops), (k + 1) / len(crops))
+            render_blender(engine, stem, samples, seed, threads, within, border)
+            out.append(read_picture(stem.with_suffix(".exr")))
+    return out
+
+
+def _path_crops(
+    scene: Scene, active: NDArray[np.bool_], samples: int, seed: int, threads: int, crops: tuple[Crop, ...], cancelled: Callable[[], bool]
+) -> tuple[list[F32], list[F32]]:
+    """Each crop of a core scene by the path tracer, full and with only active, (N,) bool, in it: (h, w, 4) float32. Raises Cancelled."""
+    height, width = scene.film.height, scene.film.width
+    loop = Loop(scene, CullOptions(width=width, seed=seed ^ PATH_SEED, threads=threads), cancelled)
+    columns, rows = np.arange(width) * GRID[0] // width, np.arange(height) * GRID[1] // height
+    places = [np.ix_(rows == y, columns == x) for x, y in crops]
+    only = np.zeros((height, width, min(samples, PATH_SAMPLES)), np.uint8)
+    for place in places:
+        only[place] = 1
+    full, culled = (loop.trace_paths(keep, 0, only)[0] for keep in (loop.exists, active & loop.exists))
+    return [full[place] for place in places], [culled[place] for place in places]
+
+
+def change(full: list[F32], culled: list[F32], crops: tuple[Crop, ...]) -> Verified:
+    """The change between crops that were rendered full and culled."""
+    a = np.concatenate([_tiles(_luminance(p)) for p in full])
+    d = [_luminance(q) - _luminance(p) for p, q in zip(full, culled, strict=True)]
+    change, square, count = (np.concatenate([_tiles(x) for x in each]) for each in (d, [x**2 for x in d], [np.full(x.shape, 1 / _per_tile(x)) for x in d]))
+    light = np.maximum(a, max(DARK * float(a.mean()), 1e-30))
+    size, noise = np.abs(change) / light, NOISE * np.sqrt(np.maximum(square - change**2, 0.0) * count) / light
+    least_mean = max(float(size.mean() - np.sqrt((noise**2).sum()) / len(size)), 0.0)
+    return Verified(float(size.mean()), float(size.max()), least_mean, max(float((size - noise).max()), 0.0), crops)
+
+
+def _luminance(crop: F32) -> F64:
+    return np.asarray(crop[..., :3].astype(np.float64) @ LUMINANCE)
+
+
+def _per_tile(crop: F64) -> float:
+    """Pixels of a crop's coarse tiles, about."""
+    return max(crop.size / (COLUMNS // GRID[0] * (ROWS // GRID[1])), 1.0)
+
+
+def _tiles(luminance: F64) -> F64:
+    """Means over the coarse tiles of a crop's pixels (h, w)."""
+    columns, rows = COLUMNS // GRID[0], ROWS // GRID[1]
+    y, x = (np.arange(n) * of // n for n, of in zip(luminance.shape, (rows, columns), strict=True))
+    tile = (y[:, None] * columns + x[None, :]).ravel()
+    return np.bincount(tile, luminance.ravel(), rows * columns) / np.maximum(np.bincount(tile, minlength=rows * columns), 1)

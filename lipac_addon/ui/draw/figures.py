@@ -1,0 +1,91 @@
+"""What results say, in words: rows of label and text, and lines for a sidebar."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...writeback.marks import HIDDEN, MASKED, PARTICLES
+from ..state import props, results
+
+LONGEST = 40  # characters of a line in a sidebar of usual width
+_HIDDEN = {HIDDEN: "all of it", MASKED: "instances that it scatters", PARTICLES: "its particles"}
+
+
+def lines(text: str, width: int = LONGEST) -> list[str]:
+    """A text broken into lines for labels."""
+    from textwrap import wrap
+
+    return wrap(text, width) or [""]
+
+
+def size(count: float) -> str:
+    """Bytes as people read them."""
+    for unit in ("B", "KiB", "MiB"):
+        if count < 1024:
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
+        count /= 1024
+    return f"{count:.1f} GiB"
+
+
+def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
+    """The figures of a result as label and text."""
+    stats = result.stats
+    total, active = int(stats["instances"]), int(stats["active"])
+    rows = [
+        ("Instances", f"{total:,}"),
+        ("Active", f"{active:,} ({100 * active / max(total, 1):.1f} %)"),
+        *([("Pending", f"{int(stats['pending']):,}")] if stats["pending"] else []),
+        ("Hitboxes", f"{int(stats['hitboxes']):,}"),
+        ("Memory of the active", size(stats["blas_bytes"] + stats["tlas_bytes"])),
+    ]
+    for name, label in (("predicted", "Change, predicted"), ("certified", "Change, at most"), ("unknown", "Light not known")):
+        if name + "_mean" in stats:
+            rows.append((label, f"{100 * stats[name + '_mean']:.2f} %, worst {100 * stats[name + '_worst']:.2f} %"))
+    return rows
+
+
+def rows_of_difference(found: results.Difference) -> list[tuple[str, str]]:
+    """What two renders say."""
+    (full_s, culled_s), (full_b, culled_b) = found.seconds, found.peak_bytes
+    return [
+        ("Time saved", f"{full_s - culled_s:.1f} of {full_s:.1f} s"),
+        ("Memory saved", f"{size(full_b - culled_b)} of {size(full_b)}"),
+        ("Change, rendered", f"{100 * found.mean:.2f} %, worst {100 * found.worst:.2f} %"),
+    ]
+
+
+def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tuple[str, str]]:
+    """What a result says about an object, and why."""
+    reason = result.reason(ob)
+    if not reason.instances:
+        return []
+    what = "kept" if reason.kept == reason.instances else "culled" if not reason.kept else f"{reason.kept:,} of {reason.instances:,} kept"
+    rows = [("This frame", what)]
+    if not result.stats["paths"]:
+        return rows
+    if reason.kept == reason.instances and _is_pinned(ob, bool(reason.paths.any())):
+        why = "it is pinned"
+    elif not reason.paths.any():
+        why = "no light path meets it" if not reason.kept else "too few light paths looked there to let it go"
+    elif not reason.kept:
+        why = "few light paths meet it: losing it stays within the budget"
+    else:
+        why = "light paths meet it"
+    rows.append(("Because", why))
+    if reason.kept < reason.instances and ob.lipac_role == props.PIN:
+        rows.append(("In renders", "pinned since: kept"))
+    rows += [(f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n]
+    if reason.worth > 0:
+        rows.append(("Worth at most", f"{100 * reason.worth:.3g} % of the picture"))
+    return rows
+
+
+def rows_of_renders(words: list[str]) -> list[tuple[str, str]]:
+    """What is hidden of an object until Restore, from the words of its mark."""
+    what = [text for word, text in _HIDDEN.items() if any(w.startswith(word) for w in words)]
+    return [("In renders", f"hidden until Restore: {', '.join(what)}")] if what else []
+
+
+def _is_pinned(ob: bpy.types.Object, met: bool) -> bool:
+    """Whether it is pinned. All collections are looked through only for what no light path met."""
+    return ob.lipac_role == props.PIN or (not met and ob in props.marked(props.PIN))

@@ -1,0 +1,184 @@
+"""An analysis beside Blender: it reads the file on the main thread, frame by frame, and computes in a thread (`background`)."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ....core.errors import InputError
+from ...keys import any_of
+from ..state import applying, props, results, scatters, session
+from . import engine
+from .background import AskedMeshes, in_thread
+from .job import Job
+
+if TYPE_CHECKING:
+    from ....core.arrays import Records
+    from ....core.culling.shot import Shot
+    from ...extract import Extraction, Extractor
+
+
+LOST = "Nothing is hidden from renders any more"
+
+
+def obstacle(scene: bpy.types.Scene) -> str:
+    """Why a scene cannot be analysed now, "" where it can."""
+    if scene.library is not None:
+        return "The scene is linked from another file: analyze it there"
+    if scene.render.use_multiview:
+        return applying.MULTI_VIEW
+    if any(other.lipac.applied for other in bpy.data.scenes if other != scene):
+        return "Restore first: what was culled for another scene is hidden in this one, too"
+    return "Leave Edit Mode first: the analysis cannot see what is edited" if session.is_edited() else ""
+
+
+class AnalysisJob(Job):
+    """The analysis of some frames of a scene.
+
+    results: by frame, in the end; was_applied: something was hidden before, by this scene's result or whatever, so that all had to be shown: what the scene had
+    applied is applied anew, but where nothing is known of its frame, and what others had is not: lost.
+    baked: instances that some frame needs, and of all.
+    """
+
+    CANCELLED = "the analysis was cancelled"
+    FAILED = "the analysis failed; see the console"
+
+    def __init__(self, scene: bpy.types.Scene, frames: Sequence[int] | None = None, bake: bool = False) -> None:
+        """frames: None takes those that the scene's settings ask for. bake: apply one set for all of them. Raises InputError where there is an obstacle."""
+        super().__init__(scene, "starting")
+        if obstacle(scene):
+            raise InputError(obstacle(scene))
+        self.results: dict[int, results.FrameResult] = {}
+        self.was_applied = self.lost = False
+        self.baked: tuple[int, int] | None = None
+        self._bake, self._applied = bake, False
+        self._before: applying.Applied | None = None
+        self._set_frame = scene.frame_current
+        self._extractor: Extractor | None = None  # these two go from frame to frame: what did not change is not analysed again
+        self._shot: Shot | None = None
+        self._frames = tuple(frames) if frames is not None else props.asked_frames(scene)
+        self._range = props.frame_range(scene)
+
+    def _work(self) -> Generator[None, None, None]:
+        self.message = engine.LOADING
+        yield
+        yield from engine.load(self.cancel)
+        yield from self._no_render()
+        self._check()
+        scene = self._scene()
+        frame, self._applied, self._before = (scene.frame_current, scene.frame_subframe), scene.lipac.applied, applying.what_is_applied()
+        self.was_applied = applying.restore()
+        try:
+            self.results = yield from self._analyse_all()
+        except Exception:
+            yield from self._render_ended()
+            raise
+        else:
+            yield from self._render_ended()
+        finally:
+            self._finish(frame)
+        self.progress, self.message = 1.0, "done"
+
+    def _finish(self, frame: tuple[int, float]) -> None:
+        """Keep the results, go back to the frame that was current, if the user has not gone to another, and cull renders again where they were before.
+
+        frame: with its subframe.
+        """
+        self._extractor = self._shot = None  # their memory
+        scene = session.find_scene(self._uid)
+        if scene is None:
+            return
+        if self.results:
+            results.put(scene, self.results)
+        if scene.frame_current == self._set_frame and (scene.frame_current, scene.frame_subframe) != frame:
+            scene.frame_set(frame[0], subframe=frame[1])
+        result = results.of(scene).get(frame[0])
+        if self._bake and self.results:
+            shot = results.union(self.results.values())
+            applying.apply(scene, shot, frames=self._range)
+            self.baked = int((~shot.culled).sum()), len(shot.culled)
+        elif self._before is not None and not self.results:
+            applying.apply_again(self._before)
+        elif self._applied and result is not None:
+            applying.apply(scene, result)
+        else:
+            self.lost = self.was_applied
+
+    def _end(self, error: str) -> None:
+        super()._end(f"{error}. {LOST}" if error and self.lost else error)
+
+    def _analyse_all(self) -> Generator[None, None, dict[int, results.FrameResult]]:
+        """All frames, one after another."""
+        found = {}
+        try:
+            for k, number in enumerate(self._frames):
+                found[number] = yield from self._analyse(number, k)
+        except MemoryError as error:
+            raise InputError("the analysis ran out of memory: raise the error budget, or simplify the scene") from error
+        return found
+
+    def _analyse(self, number: int, k: int) -> Generator[None, None, results.FrameResult]:
+        """A frame."""
+        from ....core.culling.shot import Shot
+
+        n = len(self._frames)
+        name = f"frame {number}: " if n > 1 else ""
+        self.message = f"{name}reading the scene"
+        yield
+        yield from self._no_render()
+        while session.is_edited():
+            self.message = f"{name}waiting for the end of Edit Mode"
+            self._check()
+            yield
+        scene, self._set_frame = self._scene(), number
+        extraction = self._extract(scene, number)
+        shot = self._shot = self._shot or Shot(props.cull_options(scene.lipac))
+        needed = yield from self._exposed(shot, extraction, number)
+        if needed:
+            extraction = self._extract(scene, number)
+        uids = results.session_uids(extraction.keys)
+        pinned = props.pinned(extraction.keys, uids)
+        if needed:
+            pinned = any_of(extraction.keys.records, needed) | (False if pinned is None else pinned)
+        hosts = [uid for name, uid in zip(extraction.keys.names, uids.tolist(), strict=True) if name in extraction.scatters]
+        prints = scatters.prints_of(scene, hosts)
+        meshes = AskedMeshes(extraction.scene.meshes)
+
+        def report(fraction: float, what: str) -> None:
+            self.progress, self.message = (k + fraction) / n, name + what
+
+        asked = replace(extraction.scene, meshes=meshes)
+        result = yield from in_thread(lambda: shot.advance(asked, extraction.change, report, lambda: self.cancelled, pinned), self.cancel, meshes)
+        self._check()
+        return replace(results.FrameResult.of(number, extraction, uids, result, pinned), prints=prints)
+
+    def _exposed(self, shot: Shot, extraction: Extraction, number: int) -> Generator[None, None, list[Records]]:
+        """Keys of what the frame needs at other moments of its exposure, a part for each."""
+        needed = []
+        for moment in extraction.moments:
+            assert self._extractor is not None
+            other = self._extractor.frame(number, keep=False, at=moment)
+            meshes = AskedMeshes(other.scene.meshes)
+            asked, change = replace(other.scene, meshes=meshes), other.change
+            advance = partial(shot.advance, asked, change, cancelled=lambda: self.cancelled)
+            result = yield from in_thread(advance, self.cancel, meshes)
+            self._check()
+            needed.append(other.keys.records[result.active])
+        return needed
+
+    def _extract(self, scene: bpy.types.Scene, number: int) -> Extraction:
+        """What a render sees of the frame."""
+        from ...extract import Extractor
+
+        self._extractor = self._extractor or Extractor(scene)
+        self._extractor.follow(scene)
+        layers = [layer.name for layer in scene.view_layers if layer.use]
+        extraction = self._extractor.frame(number, keep=False)
+        if len(layers) > 1:
+            line = f"only view layer '{layers[0]}' was analysed: what others alone show may be culled"
+            extraction = replace(extraction, warnings=(*extraction.warnings, line))
+        return extraction

@@ -1,0 +1,193 @@
+"""Culling renders of the open file by a result, and taking that back; the scene's switches say for which frames it is so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ... import writeback
+from ...keys import Kind
+from ...writeback.marks import HIDDEN, MASKED, all_marks
+from ...writeback.references import scenes_in_picture
+from . import props, results, scatters, session
+from .results import FrameResult
+
+CHANGED = "their scatter has changed since the analysis: analyze again"
+MULTI_VIEW = "Stereoscopy renders from several cameras, of which only one is analyzed: switch it off"
+notes: tuple[str, ...] = ()  # of the last `apply`: which culled instances stay, and why
+
+
+@dataclass(frozen=True)
+class Applied:
+    """What was applied until Restore: a result, for frames of a scene."""
+
+    uid: int
+    result: FrameResult
+    frames: range
+
+
+_last: Applied | None = None  # what `apply` did last, beside renders
+_held: Applied | None = None  # what comes back when the running render ends
+_marked: tuple[int, dict[int, list[str]]] | None = None  # words of marks by session uid, and how many objects there were
+
+
+def apply(scene: bpy.types.Scene, result: FrameResult, in_render: bool = False, frames: range | None = None) -> writeback.WritebackResult:
+    """Hide what a result culls from renders; pinned and ignored objects stay as they are, and scatters that are others than those that were analysed.
+
+    in_render: until the running render ends. frames: that it holds for, None: its own. Write-back speaks of the whole file, so this takes the place of what
+    another scene's result had hidden.
+    """
+    global notes, _last  # noqa: PLW0603
+    restore(in_render)
+    culled = result.culled & ~result.of_objects(props.marked(props.PIN) | props.marked(props.IGNORE))
+    changed = culled & _of_changed(scene, result)
+    keys = result.current_keys()
+    rows = {} if scene.render.use_motion_blur else {name: result.scatters[uid] for name, uid in _names(result, keys.names) if uid in result.scatters}
+    applied = writeback.apply(culled & ~changed, keys, rows, scene=scene, lasting=not in_render, in_render=in_render)
+    if changed.any():
+        applied.kept[CHANGED] = int(changed.sum())
+    notes = tuple(f"{count:,} culled instances stay in renders: {why}" for why, count in applied.kept.items())
+    settings = scene.lipac
+    settings.in_render, settings.applied = in_render, not in_render
+    if not in_render:
+        frames = frames or range(result.frame, result.frame + 1)
+        settings.applied_from, settings.applied_to, settings.applied_step = frames[0], frames[-1], frames.step
+        settings.applied_count = int(applied.removed.sum())
+        _last = Applied(scene.session_uid, result, range(frames[0], frames[-1] + 1, frames.step))
+    return applied
+
+
+def forget() -> None:
+    """Another file is open."""
+    global notes, _last, _held
+    notes, _last, _held = (), None, None
+    recount()
+
+
+def restore(in_render: bool = False) -> bool:
+    """Show again all that was hidden, by whichever scene; True where there was something. in_render: a handler of a render calls."""
+    recount()
+    found = writeback.restore(in_render)
+    for scene in bpy.data.scenes:
+        for name in ("applied", "in_render"):
+            if scene.library is None and getattr(scene.lipac, name):
+                setattr(scene.lipac, name, False)
+    return found
+
+
+# Within renders
+
+
+def cull_frame(scene: bpy.types.Scene) -> None:
+    """Before a frame is rendered: hide what its analysis culls, nothing where it was not analysed. What was applied stays for its frames; else it comes back
+    when the render has ended, where it is known, and is gone where it is not.
+    """
+    global _held  # noqa: PLW0603
+    owner, frame, multi_view = applied_scene(), scene.frame_current, scene.render.use_multiview
+    if owner is not None:
+        if (owner == scene and frame in frames_of(scene) and not multi_view) or scenes_in_picture(scene):  # where removing the mask would crash Blender
+            return
+        _held = what_is_applied()
+    result = None if multi_view else results.at(scene)
+    if _held is not None and _held.uid == scene.session_uid and frame in _held.frames and not multi_view:
+        apply(scene, _held.result, in_render=True)
+    elif result is not None:
+        apply(scene, result, in_render=True)
+    elif owner is not None or scene.lipac.in_render:
+        restore(in_render=True)
+
+
+def end_render(scene: bpy.types.Scene) -> None:
+    """When the render has ended, in whatever way: all is as before."""
+    global _held
+    if scene.lipac.in_render:
+        restore(in_render=True)
+    held, _held = _held, None
+    if held is not None:
+        apply_again(held)
+
+
+def apply_again(applied: Applied) -> None:
+    """Apply what was applied before."""
+    scene = session.find_scene(applied.uid)
+    if scene is not None:
+        apply(scene, applied.result, frames=applied.frames)
+
+
+# What is hidden
+
+
+def applied_scene() -> bpy.types.Scene | None:
+    """The scene whose result is applied until Restore."""
+    return next((scene for scene in bpy.data.scenes if scene.library is None and scene.lipac.applied), None)
+
+
+def frames_of(scene: bpy.types.Scene) -> range:
+    """Frames that what is applied holds for."""
+    settings = scene.lipac
+    return range(settings.applied_from, settings.applied_to + 1, max(1, settings.applied_step))
+
+
+def what_is_applied() -> Applied | None:
+    """What is applied, where that is known: not of a file that was opened, nor after some steps of undo."""
+    owner = applied_scene()
+    known = owner is not None and _last is not None and (_last.uid, _last.frames) == (owner.session_uid, frames_of(owner))
+    return _last if known else None
+
+
+def marks() -> dict[int, list[str]]:
+    """What is hidden in the file, by whomever: the words of write-back's marks by session uid."""
+    global _marked  # noqa: PLW0603
+    if _marked is None or _marked[0] != len(bpy.data.objects):
+        _marked = len(bpy.data.objects), {ob.session_uid: words for ob, words in all_marks().items()}
+    return _marked[1]
+
+
+def recount() -> None:
+    """What is hidden may have changed: write-back, undo, another file."""
+    global _marked  # noqa: PLW0603
+    _marked = None
+
+
+def status(scene: bpy.types.Scene) -> tuple[str, bool]:
+    """What renders of a scene show, in a sentence or two, and whether that wants a look."""
+    owner, frame = applied_scene(), scene.frame_current
+    own = scene.lipac.use_for_renders
+    if not marks():
+        if not own:
+            return "Renders show everything", False
+        if scene.render.use_multiview:
+            return f"Renders show everything. {MULTI_VIEW}", True
+        if results.at(scene) is None:
+            return f"Frame {frame} is not analyzed: it renders in full", True
+        return f"Renders hide what frame {frame} does not need", False
+    if owner is None:
+        words = [word for words in marks().values() for word in words]
+        counts = ((words.count(HIDDEN), "objects"), (words.count(MASKED), "scatters in part"))
+        what = ", ".join(f"{count:,} {name}" for count, name in counts if count) or "particles"
+        return f"Hidden from renders, by another session or file: {what}. Restore shows all", True
+    frames = frames_of(owner)
+    when = f"frame {frames[0]}" if len(frames) == 1 else f"frames {frames[0]} to {frames[-1]}"
+    line = f"Hidden from renders: {owner.lipac.applied_count:,} instances, for {when}{'' if owner == scene else f' of scene {owner.name}'}"
+    if scene.render.use_multiview:
+        return f"{line}. {MULTI_VIEW}", True
+    if owner == scene and frame in frames:
+        return line, False
+    if own and not scenes_in_picture(scene):
+        return f"{line}. Frame {frame} renders {'in full' if results.at(scene) is None else 'by its own analysis'}", False
+    return f"{line}. What frame {frame} shows may be missing: Restore, or Bake Shot", True
+
+
+def _names(result: FrameResult, names: tuple[str, ...]) -> list[tuple[str, int]]:
+    return [(name, uid) for name, uid in zip(names, result.uids.tolist(), strict=True) if name]
+
+
+def _of_changed(scene: bpy.types.Scene, result: FrameResult) -> np.ndarray:
+    """(N,) bool: instances of scatters that have changed. Nothing is known of a frame that the viewport does not show."""
+    now = scatters.prints_of(scene, result.prints) if result.prints else {}
+    changed = np.array([uid for uid, seen in now.items() if seen != result.prints[uid]], np.int64)
+    host = result.keys.records["host"]
+    table = np.append(np.isin(result.uids, changed), False)  # index -1: no host
+    return np.asarray(table[host] & (result.keys.records["kind"] == Kind.GEOMETRY_NODES))

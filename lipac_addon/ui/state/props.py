@@ -1,0 +1,193 @@
+"""What the user sets: on the scene, and per object and collection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
+
+from . import preferences, results, session
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ....core.arrays import I64
+    from ....core.culling.options import CullOptions
+    from ...keys import Keys
+
+AUTO, PIN, IGNORE = "AUTO", "PIN", "IGNORE"
+ROLES = (
+    (AUTO, "Automatic", "The analysis decides", "NONE", 0),
+    (PIN, "Pin", "Never cull: the analysis keeps it, whatever its light paths say", "PINNED", 1),
+    (IGNORE, "Ignore", "Stay out of it: the analysis sees it, but renders show it as you set it", "GHOST_DISABLED", 2),
+)
+POLICIES = (
+    ("light-paths", "Light paths", "Keep what light paths meet: what is seen, reflected, what casts shadows or light into the picture"),
+    ("frustum", "Camera view", "Keep what is in the camera's view; loses what only mirrors or shadows show"),
+    ("distance", "Distance", "Keep what is near the camera"),
+    ("solid-angle", "Solid angle", "Keep what looks large from the camera"),
+)
+CURRENT, RANGE = "CURRENT", "RANGE"
+role_changes = 0  # how often a role was set: no dependency graph tells
+
+
+def _lock_interface(settings: LipacSettings, _context: bpy.types.Context) -> None:
+    """Renders that change visibility need a locked interface; the scene's own setting comes back with the switch."""
+    render = settings.id_data.render
+    if settings.use_for_renders and not render.use_lock_interface:
+        render.use_lock_interface = settings.locked = True
+    elif settings.locked and not settings.use_for_renders:
+        render.use_lock_interface = settings.locked = False
+
+
+def _redraw(settings: LipacSettings, _context: bpy.types.Context) -> None:
+    session.redraw()
+
+
+def _freeze(settings: LipacSettings, _context: bpy.types.Context) -> None:
+    results.freeze(settings.id_data, settings.freeze)
+    session.redraw()
+
+
+def _role(_owner: bpy.types.ID, _context: bpy.types.Context) -> None:
+    global role_changes  # noqa: PLW0603
+    role_changes += 1
+
+
+def _preferred(name: str) -> Callable[[Any, float, bool], float]:
+    """The value of the preferences, for a scene that sets none."""
+    return lambda _settings, value, is_set: value if is_set else getattr(preferences.get(), name)
+
+
+class LipacSettings(bpy.types.PropertyGroup):
+    """Settings of a scene."""
+
+    policy: EnumProperty(name="Keep", description="What decides which instances stay in the render", items=POLICIES)  # type: ignore[valid-type]
+    max_error: preferences.percentage(  # type: ignore[valid-type]
+        "Error budget", "How much the picture may change on average. Less keeps more", preferences.DEFAULTS.max_error, get_transform=_preferred("max_error")
+    )
+    worst_error: preferences.percentage(  # type: ignore[valid-type]
+        "Worst tile",
+        "How much any one tile of the picture (a 16th of its width) may change",
+        preferences.DEFAULTS.worst_error,
+        get_transform=_preferred("worst_error"),
+    )
+    margin: FloatProperty(  # type: ignore[valid-type]
+        name="Margin", description="Widen the camera's view by this share on each side", default=0.1, min=0.0, soft_max=1.0
+    )
+    distance: FloatProperty(name="Distance", description="Keep what is nearer to the camera than this", subtype="DISTANCE", default=50.0, min=0.0)  # type: ignore[valid-type]
+    solid_angle: FloatProperty(  # type: ignore[valid-type]
+        name="Angle", description="Keep what spans at least this angle, in degrees, at the camera", default=1.0, min=0.0, max=180.0
+    )
+    frames: EnumProperty(  # type: ignore[valid-type]
+        name="Frames",
+        description="Which frames to analyse; a render is culled only at frames that were",
+        items=(
+            (CURRENT, "Current frame", "Analyse the current frame"),
+            (RANGE, "Frame range", "Analyse each frame of the scene's range, with its step"),
+        ),
+    )
+    paths: IntProperty(  # type: ignore[valid-type]
+        name="Paths",
+        description="Light paths per pixel of the analysis picture. 0: as many as the error needs. More find smaller things, and take longer",
+        default=0,
+        min=0,
+        soft_max=64,
+    )
+    width: IntProperty(  # type: ignore[valid-type]
+        name="Width", description="Width of the analysis picture in pixels", default=240, min=16, soft_max=1920, subtype="PIXEL"
+    )
+    seed: IntProperty(name="Seed", description="Seed of the analysis' random numbers; the same seed decides the same", default=0, min=0)  # type: ignore[valid-type]
+    use_for_renders: BoolProperty(  # type: ignore[valid-type]
+        name="Use for renders",
+        description="Cull during renders and animations, and put everything back afterwards. Locks the interface while rendering",
+        update=_lock_interface,
+    )
+    show_overlay: BoolProperty(name="Overlay", description="Draw the analysed instances as boxes in the viewport", update=_redraw)  # type: ignore[valid-type]
+    show_active: BoolProperty(name="Active", description="Boxes of instances that stay", default=True, update=_redraw)  # type: ignore[valid-type]
+    show_pending: BoolProperty(name="Pending", description="Boxes of instances that are wanted and still being built (live mode)", default=True, update=_redraw)  # type: ignore[valid-type]
+    show_culled: BoolProperty(name="Culled", description="Boxes of instances that go, one by one", update=_redraw)  # type: ignore[valid-type]
+    show_regions: BoolProperty(name="Regions", description="Boxes that stand in for what is culled", default=True, update=_redraw)  # type: ignore[valid-type]
+    heat_map: BoolProperty(  # type: ignore[valid-type]
+        name="Heat Map", description="Colour instances by how many light paths meet them, from dark (none) to bright (most), not by state", update=_redraw
+    )
+    opacity: FloatProperty(name="Opacity", description="Opacity of the boxes", subtype="FACTOR", default=0.6, min=0.0, max=1.0, update=_redraw)  # type: ignore[valid-type]
+    in_front: BoolProperty(name="In Front", description="Draw boxes also where geometry hides them", update=_redraw)  # type: ignore[valid-type]
+    freeze: BoolProperty(  # type: ignore[valid-type]
+        name="Freeze", description="Keep showing these boxes while you fly around, change frames and analyse again", update=_freeze
+    )
+    applied: BoolProperty(name="Applied", description="Culled instances are hidden from renders of this file", options={"HIDDEN"})  # type: ignore[valid-type]
+    applied_from: IntProperty(name="Applied from", description="The first frame that what is applied holds for", options={"HIDDEN"})  # type: ignore[valid-type]
+    applied_to: IntProperty(name="Applied to", description="The last frame that what is applied holds for", options={"HIDDEN"})  # type: ignore[valid-type]
+    applied_step: IntProperty(name="Applied step", description="From one frame that what is applied holds for to the next", options={"HIDDEN"})  # type: ignore[valid-type]
+    applied_count: IntProperty(name="Applied count", description="Instances that are hidden from renders", options={"HIDDEN"})  # type: ignore[valid-type]
+    in_render: BoolProperty(name="In a render", description="Culled instances are hidden until the running render ends", options={"HIDDEN"})  # type: ignore[valid-type]
+    locked: BoolProperty(name="Interface lock", description="LiPaC locked the interface during renders", options={"HIDDEN"})  # type: ignore[valid-type]
+
+
+_ROLE_OWNERS: tuple[Any, ...] = (bpy.types.Object, bpy.types.Collection)
+
+
+def cull_options(settings: LipacSettings) -> CullOptions:
+    """The options of the analysis that the settings ask for; loads the engine."""
+    from ....core.culling.options import CullOptions
+    from ....core.error_budget.budget import Budget
+
+    return CullOptions(
+        policy=settings.policy,
+        margin=settings.margin,
+        distance=settings.distance,
+        solid_angle=settings.solid_angle,
+        max_error=Budget(settings.max_error / 100, settings.worst_error / 100),
+        paths=settings.paths,
+        width=settings.width,
+        seed=settings.seed,
+        threads=preferences.get().threads,
+        blas_budget_bytes=int(preferences.get().memory * preferences.GIB),
+    )
+
+
+def marked(role: str) -> set[bpy.types.Object]:
+    """Objects of the file with a role of their own, or in a collection (at any depth) with it."""
+    found = {ob for ob in bpy.data.objects if ob.lipac_role == role}
+    for collection in (*bpy.data.collections, *(scene.collection for scene in bpy.data.scenes)):
+        if collection.lipac_role == role:
+            found.update(collection.all_objects)
+    return found
+
+
+def pinned(keys: Keys, uids: I64) -> NDArray[np.bool_] | None:
+    """(N,) bool: instances that stay whatever paths meet; None where nothing is pinned. keys, uids: as of `results.FrameResult`."""
+    pins = marked(PIN)
+    return results.instances_of(keys, results.among(uids, pins)) if pins else None
+
+
+def asked_frames(scene: bpy.types.Scene) -> tuple[int, ...]:
+    """Frames that the settings of a scene ask for."""
+    return tuple(frame_range(scene)) if scene.lipac.frames == RANGE else (scene.frame_current,)
+
+
+def frame_range(scene: bpy.types.Scene) -> range:
+    """The scene's frames, with its step."""
+    return range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
+
+
+def register() -> None:
+    """Put the settings on scenes, and roles on objects and collections: no group of properties, of which Blender saves nothing on a library override."""
+    bpy.utils.register_class(LipacSettings)
+    bpy.types.Scene.lipac = PointerProperty(type=LipacSettings, name="LiPaC", description="Light path guided culling")
+    for owner in _ROLE_OWNERS:
+        owner.lipac_role = EnumProperty(
+            name="Culling", description="Whether the analysis may cull this", items=ROLES, override={"LIBRARY_OVERRIDABLE"}, update=_role
+        )
+
+
+def unregister() -> None:
+    """Take them away again."""
+    for owner in _ROLE_OWNERS:
+        del owner.lipac_role
+    del bpy.types.Scene.lipac
+    bpy.utils.unregister_class(LipacSettings)

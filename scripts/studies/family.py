@@ -1,0 +1,290 @@
+"""`lipac evaluate --family N -o DIR`: does the budget hold on random scatters (`lipac_addon/demo/family.py`)? Each judged by Cycles.
+
+Scenes are worked off by child processes, which may crash or hang: that is what the record then says. Each scene has a file in DIR/seeds; what is there already,
+by the same code and options, is not done again. DIR/family.json has all of them, DIR/family.md the table.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMAND = (sys.executable, "-m", "lipac.scripts.studies.family")  # of a child process
+RENEWED = 25  # scenes after which a process is replaced by a new one: what leaks does so no further
+START_LIMIT = 600.0  # seconds for a process to be ready; the first one may have to compile the kernels
+MARK = "lipac-family "  # before what a child process has to say
+BUDGETS = (0.003, 0.006, 0.012, 0.025, 0.06)  # of the mean: bins of the table
+PIXELS = (0.1, 0.5, 2.0, 10.0, 100.0)
+COLUMNS = ("scenes", "runs", "held", "surely held", "mean held", "worst tile held", "beyond twice", "detail held", "kept, median", "analysis to Cycles, median")
+BROKEN = ("seed", "kind", "instances", "pixels", "budget", "luminance, colour: mean", "worst tile", "times the budget, surely")
+NOTE = """
+Held: not surely broken by luminance or colour, noise taken off (3 standard errors); surely held: the upper end is within the budget too. Detail: beside it.
+Analysis: reading Blender's scene included, over the time that Cycles takes for 64 samples of the same picture with as many threads.
+"""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to do with each seed.
+
+    size: of pictures; samples: of Cycles' first pairs; threads: of each job; limit: seconds for a scene; instances: rows of each scatter, None as drawn.
+    """
+
+    size: tuple[int, int]
+    samples: int
+    threads: int
+    limit: float
+    instances: int | None = None
+
+    def options(self) -> dict[str, Any]:
+        """All that a record depends on, but for its seed."""
+        from ..options import digest
+
+        sources = sorted([*(ROOT / "core").glob("*.py"), *(ROOT / "lipac_addon").rglob("*.py")])
+        return {"size": list(self.size), "samples": self.samples, "threads": self.threads, "instances": self.instances, "code": digest(*sources)[:12]}
+
+
+class Child:
+    """A process that does one scene after the other. Raises RuntimeError where it does not start."""
+
+    def __init__(self, plan: Plan, number: int) -> None:
+        self.plan, self.done = plan, 0
+        limited = {name: str(plan.threads) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+        given = json.dumps({"size": plan.size, "samples": plan.samples, "threads": plan.threads, "instances": plan.instances, "number": number})
+        self._log: list[str] = []
+        pipe, environment = subprocess.PIPE, os.environ | limited
+        self.process = subprocess.Popen([*COMMAND, given], stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment)
+        threading.Thread(target=self._read_errors, daemon=True).start()
+        if (answer := self._answer(START_LIMIT)) is None or answer.get("ready") is not True:
+            self.end()
+            raise RuntimeError(f"a process for scenes does not start: {self._last_words()}")
+
+    def do(self, seed: int) -> dict[str, Any]:
+        """The record of a seed: with `failed` where the process crashed, hung or could not do it."""
+        assert self.process.stdin is not None
+        self.done += 1
+        try:
+            print(seed, file=self.process.stdin, flush=True)
+            answer = self._answer(self.plan.limit)
+        except BrokenPipeError:
+            answer = None
+        if answer is not None:
+            return answer
+        hung = self.process.poll() is None
+        self.end()
+        words = self._last_words()
+        return {"seed": seed, "failed": f"over {self.plan.limit:g} s" if hung else f"crashed with status {self.process.returncode}: {words}"}
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can do another one."""
+        return self.process.poll() is None
+
+    def end(self) -> None:
+        """End the process."""
+        if self.alive:
+            self.process.kill()
+        self.process.wait()
+
+    def _answer(self, limit: float) -> dict[str, Any] | None:
+        """What it says next, None where it ends, or says nothing within so many seconds: then it is still alive."""
+        said: queue.Queue[str] = queue.Queue()
+        stdout = self.process.stdout
+        assert stdout is not None
+
+        def listen() -> None:
+            line = "."
+            while line and not line.startswith(MARK):
+                line = stdout.readline()
+            said.put(line)
+
+        threading.Thread(target=listen, daemon=True).start()
+        try:
+            line = said.get(timeout=limit)
+        except queue.Empty:
+            return None
+        if not line:
+            self.process.wait()
+        return json.loads(line[len(MARK) :]) if line else None
+
+    def _read_errors(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self._log = [*self._log[-4:], line.strip()]
+
+    def _last_words(self) -> str:
+        return " | ".join(self._log)[-300:]
+
+
+def serve(given: dict[str, Any]) -> None:
+    """What a child process does: a seed from each line of stdin, its record to stdout. Its job number picks the processors that are its own."""
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    own = cores[given["number"] * given["threads"] :][: given["threads"]]
+    if len(own) == given["threads"]:
+        os.sched_setaffinity(0, own)
+    out = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what Blender prints is not for whoever listens
+
+    def say(what: dict[str, Any]) -> None:
+        print(MARK + json.dumps(what, default=float), file=out, flush=True)
+
+    from ...core.jit import kernel_cache
+    from ...lipac_addon.console import muted
+
+    kernel_cache.use()
+    with muted():
+        import bpy  # noqa: F401
+    from ...lipac_addon import family_trial
+
+    family_trial.warm(given["threads"])
+    say({"ready": True})
+    for line in sys.stdin:
+        seed, start, cpu = int(line), time.perf_counter(), time.process_time()
+        try:
+            record = family_trial.run(seed, tuple(given["size"]), given["samples"], given["threads"], given["instances"])
+        except Exception as error:  # anything: the record says what
+            record = {"seed": seed, "failed": f"{type(error).__name__}: {error}"}
+        say(record | {"seconds": time.perf_counter() - start, "cpu_s": time.process_time() - cpu})
+
+
+def main(seeds: range, folder: Path, plan: Plan, jobs: int, stop_after: float, tell: Callable[[str], None]) -> int:
+    """Do what is missing of some seeds, so many at a time, and write the tables; exit status. stop_after: seconds after which no scene is begun.
+
+    Raises KeyboardInterrupt after all processes have ended; what is done is kept.
+    """
+    options, begun = plan.options(), time.monotonic()
+    place = folder / "seeds"
+    place.mkdir(parents=True, exist_ok=True)
+    waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
+    missing = [seed for seed in seeds if not _done(place, seed, options)]
+    for seed in missing:
+        waiting.put(seed)
+    children: dict[int, Child] = {}
+    problems: list[str] = []
+    stopped, count = threading.Event(), 0
+    counting = threading.Lock()
+
+    def work(number: int) -> None:
+        nonlocal count
+        try:
+            while not stopped.is_set() and time.monotonic() - begun < stop_after and not waiting.empty():
+                child = children.get(number)
+                if child is None or not child.alive or child.done >= RENEWED:
+                    if child is not None:
+                        child.end()
+                    child = children[number] = Child(plan, number)
+                try:
+                    seed = waiting.get_nowait()
+                except queue.Empty:
+                    break
+                record = child.do(seed)
+                if stopped.is_set():
+                    break
+                _write(place / f"{seed:06}.json", json.dumps(record | {"options": options}, default=float))
+                with counting:
+                    count += 1
+                    tell(f"{count} of {len(missing)}: {seed} {record.get('draw', {}).get('kind', '')} {record.get('failed') or record['verdict']}")
+        except RuntimeError as error:
+            problems.append(str(error))
+
+    if missing:
+        children[0] = Child(plan, 0)  # compiles the kernels, for all
+    threads = [threading.Thread(target=work, args=(number,), daemon=True) for number in range(min(jobs, len(missing)))]
+    try:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        stopped.set()
+        for child in children.values():
+            child.end()
+    records = read(folder)
+    _write(folder / "family.json", json.dumps(records, default=float))
+    text = table(records)
+    _write(folder / "family.md", text)
+    print(text)
+    for line in sorted(set(problems)):
+        print(f"warning: {line}", file=sys.stderr)
+    return 1 if problems else 0
+
+
+def _done(place: Path, seed: int, options: dict[str, Any]) -> bool:
+    path = place / f"{seed:06}.json"
+    return path.exists() and json.loads(path.read_text())["options"] == options
+
+
+def _write(path: Path, text: str) -> None:
+    from ...core.files.report import replacing
+
+    with replacing(path) as part:
+        part.write_text(text)
+
+
+def read(folder: Path) -> list[dict[str, Any]]:
+    """All records of a folder, by seed."""
+    return [json.loads(path.read_text()) for path in sorted((folder / "seeds").glob("*.json"))]
+
+
+def table(records: Sequence[dict[str, Any]]) -> str:
+    """Markdown: by kind, by budget, by size; then every scene whose budget was broken, or that failed."""
+    judged = [r for r in records if "failed" not in r]
+    failed = [r for r in records if "failed" in r]
+    groups: list[tuple[str, list[dict[str, Any]]]] = [("all", judged)]
+    groups += [(kind, [r for r in judged if r["draw"]["kind"] == kind]) for kind in sorted({r["draw"]["kind"] for r in judged})]
+    groups += [(f"budget {100 * a:g} to {100 * b:g} %", [r for r in judged if a <= r["draw"]["mean"] < b]) for a, b in pairwise(BUDGETS)]
+    groups += [(f"{a:g} to {b:g} pixels", [r for r in judged if a <= r["draw"]["pixels"] < b]) for a, b in pairwise(PIXELS)]
+    lines = _head(COLUMNS, 1)
+    lines += [_row(name, group) for name, group in groups if group]
+    lines += NOTE.rstrip().splitlines()
+    broken = sorted((r for r in judged if r["verdict"] in ("broken", "twice")), key=lambda r: -r["times"])
+    if broken:
+        lines += ["", "Broken:", "", *_head(BROKEN, 2), *map(_broken, broken)]
+    if failed:
+        lines += ["", "Failed:", "", *(f"- {r['seed']}: {r['failed']}" for r in failed)]
+    return "\n".join(lines) + "\n"
+
+
+def _head(columns: Sequence[str], left: int) -> list[str]:
+    return ["| " + " | ".join(columns) + " |", "|" + left * "---|" + (len(columns) - left) * "---:|"]
+
+
+def _row(name: str, records: Sequence[dict[str, Any]]) -> str:
+    def held(key: str) -> str:
+        return _percent(r[key] not in ("broken", "twice") for r in records)
+
+    surely = _percent(r["verdict"] == "held" for r in records)
+    twice = sum(r["verdict"] == "twice" for r in records)
+    kept = float(np.median([r["active"] / max(r["instances"], 1) for r in records]))
+    ratio = float(np.median([r["analysis_s"] / r["cycles_64_s"] for r in records]))
+    cells = (held("verdict"), surely, held("verdict_mean"), held("verdict_worst"), twice, held("verdict_detail"), f"{100 * kept:.3g} %", f"{ratio:.2f}")
+    return f"| {name} | {len(records)} | " + " | ".join(map(str, cells)) + " |"
+
+
+def _broken(record: dict[str, Any]) -> str:
+    draw, changes = record["draw"], record["changes"]
+    by = [" / ".join(f"{100 * changes[m][bound]['value']:.3g} %" for m in ("luminance", "colour")) for bound in ("mean", "worst")]
+    budget = f"{100 * draw['mean']:.2g}, {100 * draw['worst']:.2g} %"
+    return f"| {record['seed']} | {draw['kind']} | {record['instances']:,} | {draw['pixels']:.2g} | {budget} | {by[0]} | {by[1]} | {record['times']:.2f} |"
+
+
+def _percent(flags: Iterable[bool]) -> str:
+    every = list(flags)
+    return f"{100 * sum(every) / len(every):.1f} %"
+
+
+if __name__ == "__main__":
+    serve(json.loads(sys.argv[1]))

@@ -1,0 +1,35 @@
+"""Instances that lie exactly where another does stay or go together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import CullOptions
+from lipac.core.culling.twins import Twins
+
+from .. import scenes
+
+
+def test_against_a_plain_search() -> None:
+    """Groups of boxes that are the same to the last bit, with zeros of either sign; what is a bit elsewhere is another."""
+    rng = np.random.default_rng(0)
+    some = rng.integers(-1, 2, (40, 2, 3)).astype(np.float32)
+    boxes = some[rng.integers(0, 40, 500)]
+    boxes = np.where(rng.random(boxes.shape) < 0.5, boxes, boxes + np.float32(0) * -boxes).astype(np.float32)
+    boxes[::7] = np.nextafter(boxes[::7], np.float32(9))
+    twins = Twins()
+    for share in (0.0, 0.02, 0.5, 1.0):
+        keep = rng.random(500) < share
+        rows = [tuple((box + 0.0).ravel().tolist()) for box in boxes]
+        wanted = {row for row, kept in zip(rows, keep, strict=True) if kept}
+        assert twins.joined(boxes, keep).tolist() == [row in wanted for row in rows]
+    assert twins.joined(boxes[:3] + 100, np.zeros(3, bool)).tolist() == [False] * 3  # others than before
+
+
+def test_both_of_two_coincident_things_stay() -> None:
+    """Light paths meet one of them; a third stands where nothing is seen, with its twin."""
+    seen, unseen = scenes.placed((0, 0, 0.5)), scenes.placed((0, 0, -5))
+    placement = [(1, scenes.placed((0, 0, 0), 40.0), 0), (0, seen, 0), (2, seen, 0), (0, unseen, 0), (0, unseen, 0)]
+    scene = scenes.build([scenes.cube(), scenes.quad(), scenes.cube()], placement)
+    assert analyze(scene, CullOptions()).active.tolist() == [True, True, True, False, False]

@@ -1,0 +1,197 @@
+"""Tracing again only what can differ: exact for every path, and good enough a judge to spend a budget by."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lipac.core.culling.loop import Loop, Measurement
+from lipac.core.culling.options import CullOptions
+from lipac.core.error_budget.budget import Budget, Savings
+from lipac.core.error_budget.error_estimate import Light, Reference
+from lipac.core.error_budget.search import LIKELY, Choice, Search, refined
+from lipac.core.error_budget.units import Units
+from lipac.core.feedback.path_log import RECORD, PathLog
+from lipac.core.feedback.tiles import TILES
+
+from ..culling.test_loop import stage
+
+
+@pytest.fixture(scope="module")
+def measured() -> tuple[Loop, Measurement]:
+    loop = Loop(stage(), CullOptions(width=96, paths=4))
+    loop.run()
+    assert loop.measured is not None
+    return loop, loop.measured
+
+
+def cull_some(loop: Loop, m: Measurement, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    cull = np.random.default_rng(seed).random(len(m.tlas.ids)) < 0.4
+    keep = np.zeros(len(loop.active), bool)
+    keep[m.tlas.ids[~cull]] = True
+    return cull, keep
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_paths_that_met_nothing_culled_do_not_change(measured: tuple[Loop, Measurement], seed: int) -> None:
+    """Bit for bit; and those that are traced again alone come out as in a trace of all."""
+    loop, m = measured
+    cull, keep = cull_some(loop, m, seed)
+    only = m.log.affected(cull)
+    assert 0 < only.mean() < 1
+    everything = loop.trace_paths(keep, m.first_sample, np.ones_like(only))[1]
+    np.testing.assert_array_equal(everything[only == 0], m.log.color[only == 0])
+    np.testing.assert_array_equal(loop.trace_paths(keep, m.first_sample, only)[1][only == 1], everything[only == 1])
+    assert (everything[only == 1] != m.log.color[only == 1]).any()
+
+
+def test_affected_against_a_plain_search() -> None:
+    rng = np.random.default_rng(0)
+    log = PathLog.zeros(3, 4, 5)
+    log.records[..., 1:] = rng.integers(0, 40, log.records[..., 1:].shape)
+    log.records[..., 0] = rng.integers(0, RECORD + 1, log.luminance.shape)
+    culled = rng.random(40) < 0.1
+    records = log.records.reshape(-1, RECORD)
+    expected = [count == RECORD or culled[list(met[:count])].any() for count, met in zip(records[:, 0], records[:, 1:], strict=True)]
+    assert log.affected(culled).ravel().tolist() == [int(x) for x in expected]
+
+
+def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
+    """Culling a set in three steps, each tracing only what it changes: colours, records and changes as of a trace of every path without the whole set."""
+    loop, m = measured
+    reference, log, after = Reference(m.log), m.log.copy(), m.log.copy()  # what a trial's log held before does not matter
+    difference = reference.nothing
+    culled = np.zeros(len(m.tlas.ids), bool)
+    for seed in range(3):
+        more, _ = cull_some(loop, m, seed)
+        only = log.affected(more & ~culled)
+        keep = np.zeros(len(loop.active), bool)
+        keep[m.tlas.ids[~(culled | more)]] = True
+        assert 0 < only.mean() < 1
+        loop.trace_without(m.tlas, m.first_sample, keep, only, after)
+        difference = reference.compare(only, after.color, log, difference)
+        log.update(only, after)
+        culled |= more
+        everything = PathLog.zeros(*only.shape)
+        loop.trace_without(m.tlas, m.first_sample, keep, np.ones_like(only), everything)
+        np.testing.assert_array_equal(log.color, everything.color)
+        entries = np.arange(RECORD) <= np.minimum(log.records[..., :1], RECORD - 1)  # what is behind them is nobody's
+        np.testing.assert_array_equal(np.where(entries, log.records, 0), np.where(entries, everything.records, 0))
+        assert not (culled[log.records[..., 1:]] & entries[..., 1:]).any()
+        at_once = reference.compare(m.log.affected(culled), everything.color, m.log, reference.nothing)
+        np.testing.assert_allclose(difference.pixels, at_once.pixels, atol=1e-9)  # sums of float64 in another order
+        np.testing.assert_allclose(difference.squares, at_once.squares, atol=1e-9)
+
+
+def test_a_difference_is_put_down_to_what_the_path_met_first() -> None:
+    """Two paths meet entry 1, one of them after entry 0 and so for 0's account; entry 2 is not culled and has no row. Units are entries here."""
+    log = PathLog.zeros(9, 16, 2)
+    log.color[:] = 0.5
+    log.records[0, 0, 0, :3], log.records[0, 0, 1, :3], log.records[0, 1, 0, :4] = (2, 2, 1), (1, 1, 0), (3, 2, 0, 1)
+    culled = np.array([True, True, False])
+    only = log.affected(culled)
+    other = np.where(only[..., None] == 1, np.float32(0.25), np.zeros(3, np.float32))
+    sizes = Reference(log).sizes_by_unit(np.arange(3, dtype=np.int32), culled, only, other, log, 2.0)
+    expected = np.zeros((2, TILES))
+    expected[1, 0] = 2 * 0.25 + 2 * np.sqrt(2 * 0.25**2)
+    expected[0, 1] = 0.25 + 2 * 0.25
+    np.testing.assert_allclose(sizes, expected, atol=1e-7)  # a tile has two paths, of luminance 1 together; its weights sum to 1 in float32
+
+
+def test_a_search_goes_on_from_what_was_culled_before() -> None:
+    """From a set that uses up little; where it uses up all but a factor of the hysteresis, that is the choice."""
+    world = Additive(8)
+    savings, worth = Savings.among(np.arange(8, dtype=np.int32), np.full(8, 1000)), np.full((8, TILES), 1e-4)
+    before = np.arange(8) < 2
+    budget = Budget(0.02, 0.2)
+    on = world.search(worth, savings, budget, before=before).run()[-1]
+    assert on.cull[before].all()
+    assert on.cull.sum() > 2
+    assert world.excess(on.cull, budget) <= 1
+    (kept,) = world.search(worth, savings, budget, before=before, hysteresis=1e3).run()
+    assert (kept.cull == before).all()
+
+
+class Additive:
+    """A picture of paths that meet one entry each, which hides it where it is culled."""
+
+    def __init__(self, entries: int) -> None:
+        rng = np.random.default_rng(5)
+        self.log = PathLog.zeros(36, 64, 16)
+        self.log.color[:] = 1.0
+        self.log.records[..., 0], self.log.records[..., 1] = 1, rng.integers(0, entries, self.log.shape)
+        self.log.records[..., 1][rng.random(self.log.shape) < 0.9] = entries - 1  # most paths meet the last one
+        self.traced = self.met = 0  # paths: that were asked for, and that met anything culled
+
+    def without(self, cull: np.ndarray, only: np.ndarray) -> PathLog:
+        self.traced += int(only.sum())
+        self.met += int(self.log.affected(cull).sum())
+        return PathLog(self.log.records, np.where(only[..., None] == 1, np.float32(0.9), self.log.color))
+
+    def search(self, worth: np.ndarray, savings: Savings, budget: Budget, **more: Any) -> Search:
+        return Search(Reference(self.log), self.log.copy(), more.pop("without", self.without), Units.single(worth), savings, budget, **more)
+
+    def excess(self, cull: np.ndarray, budget: Budget) -> float:
+        """Of the true change, without margin."""
+        only = self.log.affected(cull)
+        reference = Reference(self.log)
+        difference = reference.compare(only, self.without(cull, only).color, self.log, reference.nothing)
+        estimate = Light.of(reference).estimate(difference)
+        return max(estimate.mean / budget.mean, estimate.worst / budget.worst)
+
+
+def test_search_spends_the_budget_and_no_more() -> None:
+    """Ten entries that are predicted to be worth ten times what they are: the search finds out, and comes near the best of all 1,024 sets."""
+    world = Additive(10)
+    budget = Budget(0.006, 0.03)
+    savings = Savings.among(np.arange(10, dtype=np.int32), np.full(10, 1000))
+    worth = np.zeros((10, TILES))
+    for entry in range(10):
+        only = world.log.affected(np.arange(10) == entry)
+        worth[entry] = np.bincount(np.repeat(Reference(world.log).tile, 16), only.ravel(), TILES) / 256  # paths of a tile
+    steps = world.search(worth, savings, budget).run()
+    chosen = steps[-1]
+    assert 0 < world.traced < 0.7 * world.met  # larger sets at the cost of what is new in them
+    assert world.excess(chosen.cull, budget) <= 1
+    assert chosen.estimate.excess(budget, LIKELY) <= 1
+    assert all(not (a.cull & ~b.cull).any() for a, b in itertools.pairwise(steps))
+    most = max(sum(s) for s in itertools.product((0, 1), repeat=10) if world.excess(np.array(s, bool), budget) <= 1)
+    assert most - 2 <= chosen.cull.sum() <= most
+
+
+def test_steps_are_refined_into_pieces_of_equal_worth() -> None:
+    world = Additive(1)
+    units = Units.single(np.repeat(np.arange(9.0)[:, None], TILES, axis=1))
+    estimate = world.search(units.worth[:1], Savings.among(np.zeros(1, np.int32), np.array([100])), Budget(1.0, 1.0)).run()[0].estimate
+    steps = [Choice(np.arange(9) < n, Reference(world.log).nothing, estimate) for n in (1, 9)]
+    sets = refined(steps, units)
+    assert [int(x.sum()) for x in sets] == [1, 4, 6, 7, 9]  # 1 + 2 + 3 are less than a quarter of 36, with 4 and 5 less than a half
+
+
+def test_what_must_stay_stays_and_paths_are_limited() -> None:
+    world = Additive(6)
+    worth = np.full((6, TILES), 1e-6)
+    worth[2] = np.inf
+    search = world.search(worth, Savings.among(np.zeros(6, np.int32), np.array([100])), Budget(1.0, 1.0))
+    chosen = search.run()[-1]
+    assert not chosen.cull[2]
+    assert chosen.cull.sum() >= 1
+    assert search.traced <= np.prod(world.log.shape)
+
+
+def test_a_budget_of_nothing_culls_what_no_path_met() -> None:
+    world = Additive(4)
+    worth = np.vstack([np.full((4, TILES), 1e-3), np.zeros((1, TILES))])  # the fifth is met by no path
+    chosen = world.search(worth, Savings.among(np.zeros(5, np.int32), np.array([100])), Budget(0.0, 0.0)).run()[-1]
+    assert chosen.cull.tolist() == [False, False, False, False, True]
+
+
+def test_where_the_last_set_breaks_the_budget_another_is_searched_for() -> None:
+    world = Additive(10)
+    savings, worth = Savings.among(np.arange(10, dtype=np.int32), np.full(10, 1000)), np.full((10, TILES), 1e-4)
+    budget, before = Budget(0.012, 0.3), np.arange(10) > 0
+    chosen = world.search(worth, savings, budget).run()[-1]
+    assert world.search(worth, savings, budget, before=before, hysteresis=2.0).run()[-1].cull.sum() == chosen.cull.sum() > 1

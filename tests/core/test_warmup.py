@@ -1,0 +1,91 @@
+"""Kernels are loaded ahead only where they are compiled, and compiling is said."""
+
+from __future__ import annotations
+
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import CullOptions
+from lipac.core.scene import model as s
+from lipac.core.tracing.path_kernel import trace_tile
+from lipac.core.warmup import KERNELS, LAST, telling
+
+from . import scenes
+
+LOAD = """
+import threading
+from lipac.core.warmup import load_ahead
+load_ahead()
+for thread in threading.enumerate():
+    if thread.name == "kernels":
+        thread.join()
+import sys
+kernels = sys.modules.get("lipac.core.tracing.path_kernel")
+print("LOADED", 0 if kernels is None else sum(kernels.trace_tile.stats.cache_hits.values()))
+"""
+TYPES = (*[numba.int64] * 4, numba.uint64[::1])
+
+
+@pytest.mark.parametrize("cold", [False, True])
+def test_kernels_are_loaded_ahead_where_they_are_compiled(cold, tmp_path, monkeypatch):
+    if cold:
+        monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
+    else:
+        trace_tile.compile(TYPES)
+    done = subprocess.run([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True, check=True)
+    assert done.stdout.split() == ["LOADED", "0" if cold else "1"]
+
+
+def test_the_loaded_kernel_is_the_one_that_tracing_calls():
+    scene = scenes.build([scenes.cube()], [(0, scenes.placed((0, 3, 0)), 0)], [s.default_material()])
+    assert analyze(scene, CullOptions(width=16, paths=1)).stats["rays"] > 0
+    assert trace_tile.signatures == [TYPES]
+
+
+def test_compiling_is_said_and_nothing_else_meanwhile():
+    said = []
+
+    @numba.njit
+    def inner(x):
+        return x + 1
+
+    @numba.njit
+    def outer(x):
+        return inner(x) * 2
+
+    with telling(lambda fraction, what: said.append((fraction, what))) as progress:
+        progress(0.5, "tracing")
+        assert outer(3) == 8
+        progress(0.6, "building")
+    outer(3.0)  # outside: not told
+    assert said[0] == (0.5, "tracing")
+    assert said[-1] == (0.6, "building")
+    assert len(said) == 4
+    assert all(math.isnan(fraction) and what.startswith("compiling kernels") for fraction, what in said[1:-1])
+
+
+def test_the_share_counts_what_other_processes_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "core_1"
+    folder.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    said: list[str] = []
+
+    @numba.njit
+    def kernel(x):
+        return x + 1
+
+    with telling(lambda fraction, what: said.append(what)):
+        kernel(3)
+        for k in range(KERNELS // 2):
+            (folder / f"{k}.nbi").write_bytes(b"")
+        kernel(3.0)
+    shares = [int(share) for text in said for share in re.findall(r"(\d+)%", text)]
+    assert shares == [0, round(50 * (1 - LAST))]
+    assert "left" in said[1]

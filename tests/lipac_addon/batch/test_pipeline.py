@@ -1,0 +1,162 @@
+"""The frames of a job: states, write-back and report, and what is left when it ends early."""
+
+import json
+from dataclasses import replace
+
+import bpy
+import pytest
+
+from lipac.core.accel.blas import BlasCache
+from lipac.core.culling.options import CullOptions, State
+from lipac.core.errors import Cancelled
+from lipac.core.files.atomic import is_whole
+from lipac.core.files.report import Report, load_states
+from lipac.lipac_addon.batch import pipeline
+from lipac.lipac_addon.batch.hybrid_frame import HybridOptions
+from lipac.lipac_addon.batch.pipeline import FRAME, SHOT, Job, run
+
+DISTANCE = CullOptions(policy="distance", distance=19.5)  # the boxes behind the wall are further
+
+
+def report():
+    return Report("boxes", "", "", "distance", "cycles", 0, 1)
+
+
+def test_visibility_is_put_back(boxes, tmp_path):
+    r = report()
+    run(Job(tmp_path, (1, 2), DISTANCE, "cycles", samples=1), r)
+    assert [f["frame"] for f in r.frames] == [1, 2]
+    for frame in r.frames:
+        assert frame["writeback"]["removed"] == frame["culled"] == 4
+        assert min(frame[name] for name in ("sync_s", "writeback_s", "render_s")) > 0
+    assert not any(ob.hide_render for ob in bpy.data.objects)
+    assert json.loads((tmp_path / "report.json").read_text())["frames"] == json.loads(json.dumps(r.frames))
+
+
+def test_what_cannot_be_removed_is_a_warning(boxes, tmp_path):
+    bpy.data.objects["box5"].keyframe_insert("hide_render", frame=1)
+    r = report()
+    run(Job(tmp_path, (1,), DISTANCE, "cycles", samples=1), r)
+    assert r.warnings == ["1 culled instances stay in the render: render visibility is animated"]
+    assert r.frames[0]["writeback"]["kept"] == {"render visibility is animated": 1}
+
+
+def test_stop_keeps_what_is_finished(boxes, tmp_path):
+    """Asked to stop once the second frame's extraction is done."""
+    r = report()
+    with pytest.raises(Cancelled):
+        run(Job(tmp_path, (1, 2, 3), DISTANCE, "cycles", samples=1), r, cancelled=lambda: boxes.frame_current == 2)
+    assert [f["frame"] for f in json.loads((tmp_path / "report.json").read_text())["frames"]] == [1]
+    assert sorted(p.name for p in tmp_path.glob("*.png")) == ["frame_0001.png"]
+    assert not any(ob.hide_render for ob in bpy.data.objects)
+
+
+@pytest.mark.parametrize("engine", ["", "path"])
+def test_stop_of_analysis_and_path(boxes, tmp_path, engine):
+    asked = iter([False, False, True])  # after the extraction, then within the analysis or the render
+    with pytest.raises(Cancelled):
+        run(Job(tmp_path, (1,), CullOptions(), engine, samples=1), report(), cancelled=lambda: next(asked, True))
+    assert not list(tmp_path.glob("*.png"))
+
+
+@pytest.fixture
+def layers(boxes):
+    """The boxes with a second view layer that lacks the wall, and so shows the boxes behind it; a third one that nothing is in; a fourth that is not used."""
+    hidden = bpy.data.collections.new("wall")
+    boxes.collection.children.link(hidden)
+    wall = bpy.data.objects["wall"]
+    boxes.collection.objects.unlink(wall)
+    hidden.objects.link(wall)
+    second = boxes.view_layers.new("second")
+    second.layer_collection.children["wall"].exclude = True
+    third = boxes.view_layers.new("nothing")
+    third.layer_collection.exclude = True
+    for child in third.layer_collection.children:
+        child.exclude = True
+    boxes.view_layers.new("unused").use = False
+    return boxes
+
+
+def stays(path):
+    states = load_states(path)
+    return {states.names[k] for k in states.keys["object"][states.state == State.ACTIVE]}
+
+
+@pytest.mark.parametrize(("engine", "bake"), [("cycles", FRAME), ("cycles", SHOT), ("", FRAME)])
+def test_all_view_layers_that_render_are_analysed(layers, tmp_path, engine, bake):
+    """What one of them needs stays for all; their use is as it was."""
+    r = report()
+    run(Job(tmp_path, (1, 2), CullOptions(width=48), engine, samples=1, bake=bake), r)
+    for frame in (1, 2):
+        kept = stays(tmp_path / "states" / f"frame_000{frame}.npz")
+        assert {"wall", "box0", "box4", "box7"} <= kept
+    assert [f["instances"] for f in r.frames] == [10, 10]
+    assert [v.use for v in layers.view_layers] == [True, True, True, False]
+    alone = Job(tmp_path / "one", (1,), CullOptions(width=48), "path", samples=1)
+    run(alone, r)
+    assert not {"box4", "box7"} & stays(tmp_path / "one" / "states" / "frame_0001.npz")
+    assert any("view layers" in line for line in r.approximated)
+
+
+def test_a_rule_reads_no_mesh_for_blenders_engines(boxes, tmp_path, monkeypatch):
+    """Blender builds its own structures; ours would be for the report alone."""
+    monkeypatch.setattr(BlasCache, "_load", lambda *_: pytest.fail("a mesh was read"))
+    r = report()
+    run(Job(tmp_path, (1,), DISTANCE, "cycles", samples=1), r)
+    assert (r.frames[0]["active"], r.frames[0]["culled"]) == (6, 4)
+
+
+@pytest.mark.parametrize(("engine", "more"), [("path", 0), ("hybrid", 1)])
+def test_nothing_is_built_twice(boxes, tmp_path, monkeypatch, engine, more):
+    """The picture is made of what the analysis has built; traced first hits, of everything, take structures of their own."""
+    caches, build = [], BlasCache._build
+    monkeypatch.setattr(BlasCache, "_build", lambda self, index, mesh: (caches.append(self), build(self, index, mesh))[1])
+    job = Job(tmp_path, (1,), CullOptions(width=48), engine, samples=1, hybrid=HybridOptions(primary="traced", denoise=False))
+    run(job, report())
+    assert len({id(cache) for cache in caches}) == 1 + more
+
+
+def test_half_pictures_are_made_again(boxes, tmp_path):
+    """Those of an earlier version, or of a disk that lost them."""
+    job = Job(tmp_path, (1, 2, 3, 4), DISTANCE, "cycles", samples=1)
+    run(job, report())
+    whole = {p: p.read_bytes() for p in tmp_path.rglob("frame_*")}
+    for name in ("frame_0001.exr", "frame_0002.png", "states/frame_0003.npz"):
+        path = tmp_path / name
+        path.write_bytes(path.read_bytes()[:-100])
+    r = report()
+    run(replace(job, resume=True), r)
+    assert [f["frame"] for f in r.frames] == [1, 2, 3]
+    assert all(is_whole(path) for path in whole)
+
+
+def test_damaged_or_missing_analyses_of_a_shot_are_made_again(boxes, tmp_path, monkeypatch):
+    """Damaged before, and removed by another command between two looks."""
+    job = Job(tmp_path, (1, 2), DISTANCE, bake=SHOT)
+    run(job, report())
+    before = [job.states(k).read_bytes() for k in (1, 2)]
+    job.analysis(1).write_bytes(job.analysis(1).read_bytes()[:200])
+    r, loads = report(), []
+
+    def load(path):
+        loads.append(path)
+        if len(loads) == 2:
+            job.analysis(2).unlink()
+        return load_states(path)
+
+    monkeypatch.setattr(pipeline, "load_states", load)
+    run(replace(job, resume=True, frames=(1,), shot=(1, 2)), r)
+    assert [job.states(k).read_bytes() for k in (1, 2)] == before
+
+
+def test_a_report_stays_until_there_is_something_to_say(boxes, tmp_path):
+    """Another command that ends before its first frame changes nothing; afterwards the earlier report is kept beside."""
+    run(Job(tmp_path, (1, 2), DISTANCE), report())
+    before = (tmp_path / "report.json").read_bytes()
+    other = Report("boxes", "", "", "distance", "cycles", 7, 1)
+    with pytest.raises(Cancelled):
+        run(Job(tmp_path, (1,), DISTANCE), other, cancelled=lambda: True)
+    assert (tmp_path / "report.json").read_bytes() == before
+    run(Job(tmp_path, (1,), DISTANCE), other)
+    assert json.loads((tmp_path / "report.json").read_text())["seed"] == 7
+    assert (tmp_path / "report_earlier_1.json").read_bytes() == before

@@ -1,0 +1,98 @@
+"""The error that --verify states is that of the two pictures, by whichever engine, and the file is left as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from lipac.core.culling.options import CullOptions
+from lipac.core.error_budget.budget import Budget
+from lipac.core.evaluation.judge import picture_change
+from lipac.core.files.report import Report
+from lipac.lipac_addon.batch import pipeline
+from lipac.lipac_addon.batch.pipeline import Job, run
+from lipac.lipac_addon.batch.verify import GRID, Verified, change, random_crops
+from lipac.lipac_addon.pictures import read_picture
+
+NEAR = CullOptions(policy="distance", distance=13.2)  # culls boxes that the camera sees
+ALL = GRID[0] * GRID[1]
+
+
+@pytest.mark.parametrize("engine", ["cycles", "path"])
+def test_all_crops_measure_what_the_whole_pictures_show(boxes: Any, tmp_path: Path, engine: str) -> None:
+    """Tolerance: crops and pictures need not share their noise; of 16 samples, it is a tenth of the change at most."""
+    frames = {}
+    for name, options, verify in (("full", CullOptions(policy="none"), 0), ("culled", NEAR, ALL)):
+        report = Report("boxes", "", "", options.policy, engine, 0, 1)
+        run(Job(tmp_path / name, (1,), options, engine, samples=16, verify=verify), report)
+        frames[name] = report.frames[0]
+    culled = frames["culled"]
+    assert 0 < culled["active"] < 10
+    mean, worst = picture_change(*(read_picture(tmp_path / name / "frame_0001.exr") for name in ("full", "culled")))
+    assert mean > 0.01
+    assert culled["verified_mean"] == pytest.approx(mean, rel=0.1)
+    assert culled["verified_worst"] == pytest.approx(worst, rel=0.1)
+    assert len(culled["verified_crops"]) == ALL
+    assert "verified_mean" not in frames["full"]
+    assert not any(ob.hide_render for ob in bpy.data.objects) and not bpy.context.scene.render.use_border
+
+
+def test_nothing_culled_measures_as_nothing(boxes: Any, tmp_path: Path) -> None:
+    report = Report("boxes", "", "", "distance", "cycles", 0, 1)
+    run(Job(tmp_path, (1,), CullOptions(policy="distance", distance=1e6), "cycles", samples=1, verify=1), report)
+    assert (report.frames[0]["verified_mean"], report.frames[0]["verified_worst"]) == (0.0, 0.0)
+    assert "the same in crops, rendered by cycles: 0 % in the mean" in report.table()
+
+
+def test_crops_differ_from_each_other_and_by_seed() -> None:
+    assert len(set(random_crops(ALL, 0))) == ALL
+    picks = {random_crops(2, seed) for seed in range(20)}
+    assert len(picks) > 10
+    assert all(0 <= x < GRID[0] and 0 <= y < GRID[1] for pick in picks for x, y in pick)
+    assert np.array_equal(random_crops(3, 7), random_crops(3, 7))
+
+
+def test_what_noise_may_make_is_taken_off() -> None:
+    """Independent noise of 30 % in both pictures: the change that is surely there is none. A twentieth less light in a crop: most of that."""
+    rng = np.random.default_rng(4)
+    full, same, darker = (1 + 0.3 * rng.standard_normal((60, 80, 4)).astype(np.float32) for _ in range(3))
+    noise, real = change([full], [same], ((0, 0),)), change([full], [0.8 * darker], ((0, 0),))
+    assert noise.worst > 0
+    assert (noise.least_mean, noise.least_worst) == (0.0, 0.0)
+    assert 0.1 < real.least_mean < real.mean
+    assert not noise.breaks(Budget(1e-4, 1e-4)) and real.breaks(Budget(0.05, 0.9)) and real.breaks(Budget(0.9, 0.05))
+
+
+@pytest.mark.parametrize("enforce", [False, True])
+def test_a_broken_budget_warns_or_is_enforced(boxes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, enforce: bool) -> None:
+    """An analysis that takes any change for none: the engine's pictures say otherwise. Enforced, the last attempt keeps everything."""
+    decide = pipeline.Session.decide
+
+    def blind(self: pipeline.Session, *args: Any) -> Any:
+        result = decide(self, *args)
+        result.state[:] = 0
+        return result
+
+    monkeypatch.setattr(pipeline.Session, "decide", blind)
+    report = Report("boxes", "", "", "light-paths", "cycles", 0, 1)
+    options = CullOptions(max_error=Budget(0.01, 0.05), width=64)
+    run(Job(tmp_path, (1,), options, "cycles", samples=4, verify=ALL, enforce=enforce), report)
+    (frame,) = report.frames
+    assert report.status == (0 if enforce else 3)
+    assert any("more than the 1 % and 5 % that --max-error allows" in line for line in report.warnings) != enforce
+    if enforce:
+        assert frame["enforced"] == pipeline.ENFORCED
+        assert frame["active"] == frame["instances"]
+    else:
+        assert frame["verified_least_worst"] > 0.05
+
+
+def test_an_enforced_budget_is_as_much_smaller_as_the_picture_is_above_it() -> None:
+    job = Job(Path(), (1,), CullOptions(max_error=Budget(0.01, 0.05)), "cycles", verify=1, enforce=True)
+    entry = Verified(0.02, 0.2, 0.01, 0.1, ()).entry()
+    assert pipeline._tightened(job, entry, 0).options.max_error == Budget(0.01 / 8, 0.05 / 8)
+    assert pipeline._tightened(job, entry, pipeline.ENFORCED - 1).options.policy == "none"

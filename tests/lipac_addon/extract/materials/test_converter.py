@@ -1,0 +1,449 @@
+"""Node trees -> MATERIAL records and textures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from lipac.core.arrays import Records
+from lipac.core.scene.model import MATERIAL, VIEWS, Extension, RayType, Shader, Textures, default_material
+from lipac.lipac_addon.extract import extract_frame
+from lipac.lipac_addon.extract.materials.converter import MaterialTable
+from lipac.lipac_addon.extract.materials.textures import TextureTable, srgb_to_linear
+
+from ..conftest import add, cube
+
+
+class Tree:
+    """A material's tree, emptied to its output; `new(type, **inputs)` makes nodes, input names with spaces as underscores."""
+
+    def __init__(self) -> None:
+        self.material = bpy.data.materials.new("m")
+        self.tree = self.material.node_tree
+        self.tree.nodes.clear()
+        self.output = self.tree.nodes.new("ShaderNodeOutputMaterial")
+
+    def new(self, kind: str, inputs: dict[Any, Any] | None = None, **properties: Any) -> Any:
+        node = self.tree.nodes.new(kind)
+        for key, value in properties.items():
+            setattr(node, key, value)
+        for key, value in (inputs or {}).items():
+            if isinstance(value, bpy.types.NodeSocket):
+                self.tree.links.new(value, node.inputs[key])
+            else:
+                node.inputs[key].default_value = value
+        return node
+
+    def parts(self, surface: Any) -> tuple[Records, Textures, list[str]]:
+        """The record of the material, and of its parts, where it has any."""
+        if surface is not None:
+            self.tree.links.new(surface.outputs[0], self.output.inputs["Surface"])
+        textures = TextureTable(print)
+        table = MaterialTable(textures)
+        table.index(self.material)
+        return table.build(), textures.build(), list(table.approximated)
+
+    def record(self, surface: Any) -> tuple[Records, Textures, list[str]]:
+        records, textures, lines = self.parts(surface)
+        assert len(records) == 1
+        return records[0], textures, lines
+
+
+def image(pixels: np.ndarray, name: str = "image", data: bool = False, floats: bool = False) -> Any:
+    """(H, W, 4) in [0, 1] as a Blender image."""
+    item = bpy.data.images.new(name, pixels.shape[1], pixels.shape[0], alpha=True, float_buffer=floats, is_data=data)
+    item.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
+    return item
+
+
+def random_pixels(seed: int = 0) -> np.ndarray:
+    """(16, 8, 4) with values a byte holds, opaque."""
+    pixels = np.random.default_rng(seed).integers(0, 256, (16, 8, 4)) / 255
+    pixels[..., 3] = 1
+    return pixels
+
+
+def pixels_of(textures: Textures, index: Any) -> np.ndarray:
+    """(H, W, 4) as stored: 0 to 255, or floats."""
+    r = textures.records[index]
+    pool = textures.floats if r["is_float"] else textures.bytes
+    return pool[r["offset"] : r["offset"] + r["width"] * r["height"] * 4].reshape(r["height"], r["width"], 4)
+
+
+def test_none_is_the_default() -> None:
+    """A mesh without a material, and with an empty slot."""
+    table = MaterialTable(TextureTable(print))
+    np.testing.assert_array_equal(table.records[table.index(None)], default_material())
+
+
+def test_principled_constants() -> None:
+    """Every field of MATERIAL comes from its socket."""
+    t = Tree()
+    values = {
+        "Base Color": (0.1, 0.2, 0.3, 1),
+        "Metallic": 0.4,
+        "Roughness": 0.6,
+        "Diffuse Roughness": 0.15,
+        "IOR": 1.7,
+        "Specular IOR Level": 0.3,
+        "Specular Tint": (0.9, 0.8, 0.7, 1),
+        "Transmission Weight": 0.25,
+        "Alpha": 0.75,
+        "Coat Weight": 0.35,
+        "Coat Roughness": 0.05,
+        "Coat IOR": 1.4,
+        "Coat Tint": (0.5, 0.6, 0.7, 1),
+        "Emission Color": (1, 0.5, 0.25, 1),
+        "Emission Strength": 4.0,
+    }
+    record, _, lines = t.record(t.new("ShaderNodeBsdfPrincipled", values))
+    assert not lines
+    expected = default_material()
+    fields = dict(
+        zip(
+            [
+                "base_color",
+                "metallic",
+                "roughness",
+                "diffuse_roughness",
+                "ior",
+                "specular_level",
+                "specular_tint",
+                "transmission",
+                "alpha",
+                "coat",
+                "coat_roughness",
+                "coat_ior",
+                "coat_tint",
+            ],
+            values.values(),
+            strict=False,
+        )
+    )
+    for name, value in fields.items():
+        expected[name] = value[:3] if isinstance(value, tuple) else value
+    expected["emission"] = (4, 2, 1)
+    for name in MATERIAL.names or ():
+        np.testing.assert_allclose(record[name], expected[name], rtol=1e-6, err_msg=name)
+
+
+def test_principled_extras_are_reported() -> None:
+    """Subsurface and the like are named."""
+    t = Tree()
+    _, _, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Subsurface Weight": 0.5, "Sheen Weight": 1.0, "Anisotropic": 0.2}))
+    assert lines == ["material m: subsurface not rendered", "material m: sheen not rendered", "material m: anisotropy not rendered"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "shader"),
+    [
+        ("ShaderNodeBsdfDiffuse", Shader.DIFFUSE),
+        ("ShaderNodeBsdfAnisotropic", Shader.GLOSSY),
+        ("ShaderNodeBsdfGlass", Shader.GLASS),
+        ("ShaderNodeBsdfRefraction", Shader.REFRACTION),
+        ("ShaderNodeBsdfTranslucent", Shader.TRANSLUCENT),
+        ("ShaderNodeBsdfTransparent", Shader.TRANSPARENT),
+        ("ShaderNodeHoldout", Shader.HOLDOUT),
+        ("ShaderNodeEmission", Shader.EMISSION),
+    ],
+)
+def test_plain_shaders(kind: str, shader: Shader) -> None:
+    """One model each, with colour, roughness and IOR."""
+    t = Tree()
+    node = t.new(kind)
+    if hasattr(node, "distribution"):
+        node.distribution = "GGX"
+    values = {"Color": (0.1, 0.2, 0.3, 1), "Roughness": 0.4, "IOR": 1.2, "Strength": 3.0}
+    for name, value in values.items():
+        if name in node.inputs:
+            node.inputs[name].default_value = value
+    record, _, lines = t.record(node)
+    assert not lines
+    assert record["shader"] == shader
+    if shader == Shader.EMISSION:
+        np.testing.assert_allclose(record["emission"], [0.3, 0.6, 0.9], rtol=1e-6)
+    elif shader != Shader.HOLDOUT:
+        np.testing.assert_allclose(record["base_color"], [0.1, 0.2, 0.3], rtol=1e-6)
+    if "IOR" in node.inputs:
+        assert record["ior"] == np.float32(1.2)
+    if "Roughness" in node.inputs:
+        assert record["diffuse_roughness" if shader == Shader.DIFFUSE else "roughness"] == np.float32(0.4)
+
+
+def test_groups_and_arithmetic_fold() -> None:
+    """Constants through groups, reroutes, Math and Mix come out as numbers, unreported."""
+    group = bpy.data.node_groups.new("g", "ShaderNodeTree")
+    group.interface.new_socket("In", in_out="INPUT", socket_type="NodeSocketFloat")
+    group.interface.new_socket("Out", in_out="OUTPUT", socket_type="NodeSocketFloat")
+    source, sink, math = (group.nodes.new(k) for k in ("NodeGroupInput", "NodeGroupOutput", "ShaderNodeMath"))
+    math.operation, math.inputs[1].default_value = "MULTIPLY", 0.5
+    group.links.new(source.outputs[0], math.inputs[0])
+    group.links.new(math.outputs[0], sink.inputs[0])
+    t = Tree()
+    node = t.new("ShaderNodeGroup", node_tree=group)
+    node.inputs[0].default_value = 0.6
+    mix = t.new("ShaderNodeMix", {0: 0.25, 6: (1, 0, 0, 1), 7: (0, 1, 0, 1)}, data_type="RGBA")
+    ramp = t.new("ShaderNodeValToRGB", {0: 0.5})
+    record, _, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Roughness": node.outputs[0], "Base Color": mix.outputs[2], "Metallic": ramp.outputs[0]}))
+    assert not lines
+    assert record["roughness"] == pytest.approx(0.3)
+    assert record["metallic"] == pytest.approx(0.5, abs=1 / 256)  # a table of 256 steps
+    np.testing.assert_allclose(record["base_color"], [0.75, 0.25, 0], atol=1e-6)
+
+
+def test_shader_combinations() -> None:
+    """Transparent becomes a Principled's alpha, Emission the emission of plain shaders; all else shows either part, by its share, unreported."""
+    t = Tree()
+    a = t.new("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.4, 0.2, 1)})
+    principled, lamp = t.new("ShaderNodeBsdfPrincipled"), t.new("ShaderNodeEmission", {"Strength": 2.0})
+    clear, glossy = t.new("ShaderNodeBsdfTransparent"), t.new("ShaderNodeBsdfAnisotropic")
+
+    def mix(factor: float, first: Any, second: Any) -> Records:
+        parts, _, lines = t.parts(t.new("ShaderNodeMixShader", {0: factor, 1: first.outputs[0], 2: second.outputs[0]}))
+        assert not lines
+        return parts
+
+    assert [float(record["alpha"]) for factor, *two in ((0.3, clear, principled), (0.7, principled, clear)) for record in mix(factor, *two)] == [
+        np.float32(0.3),
+        np.float32(0.3),
+    ]
+    record = mix(0.25, a, lamp)[0]
+    np.testing.assert_allclose(record["emission"], [0.5, 0.5, 0.5], rtol=1e-6)
+    np.testing.assert_allclose(record["base_color"], [0.6, 0.3, 0.15], rtol=1e-6)
+    for first, second, shaders in ((clear, a, (5, 1)), (a, clear, (1, 5)), (a, glossy, (1, 2)), (principled, lamp, (0, 4)), (principled, principled, (0, 0))):
+        head, *below = mix(0.7, first, second)
+        assert (head["shader"], head["alpha"], head["parts"].tolist()) == (Shader.MIX, np.float32(0.7), [1, 2])
+        assert tuple(part["shader"] for part in below) == shaders
+        assert head["emission"].tolist() == ([2, 2, 2] if second is lamp else [0, 0, 0])
+    record = mix(1.0, a, glossy)[0]
+    assert record["shader"] == Shader.GLOSSY
+    parts, _, lines = t.parts(t.new("ShaderNodeAddShader", {0: a.outputs[0], 1: lamp.outputs[0]}))
+    assert (len(parts), parts[0]["shader"], float(parts[0]["emission"][0]), lines) == (1, Shader.DIFFUSE, 2.0, [])
+    (head, one, two), _, lines = t.parts(t.new("ShaderNodeAddShader", {0: a.outputs[0], 1: clear.outputs[0]}))
+    assert (head["alpha"], two["shader"], lines) == (0.5, Shader.TRANSPARENT, [])
+    np.testing.assert_allclose(one["base_color"], [1.6, 0.8, 0.4])
+
+
+def test_a_mix_of_mixes_refers_to_its_own_parts() -> None:
+    """Whatever else is in the table."""
+    t = Tree()
+    kinds = ("Diffuse", "Transparent", "Glass", "Translucent")
+    nodes = [t.new(f"ShaderNodeBsdf{kind}") for kind in kinds]
+    for one in nodes[1:]:
+        nodes.append(t.new("ShaderNodeMixShader", {0: 0.5, 1: nodes[-1].outputs[0] if len(nodes) > 4 else nodes[0].outputs[0], 2: one.outputs[0]}))
+    t.tree.links.new(nodes[-1].outputs[0], t.output.inputs["Surface"])
+    table = MaterialTable(TextureTable(print))
+    indices = [table.index(None), table.index(t.material)]
+    assert indices == [0, 1]
+    records = table.build()
+    at, found = 1, []
+    while records[at]["shader"] == Shader.MIX:
+        at, leaf = records[at]["parts"]
+        found.append(Shader(int(records[leaf]["shader"])))
+    assert found == [Shader.TRANSLUCENT, Shader.GLASS, Shader.TRANSPARENT]
+    assert records[at]["shader"] == Shader.DIFFUSE
+
+
+def test_thin_walls_let_rays_straight_through() -> None:
+    """Half of them; without transmission there is nothing to pass."""
+    t = Tree()
+    node = t.new("ShaderNodeBsdfPrincipled", {"Transmission Weight": 1.0})
+    if "Thin Wall" not in node.inputs:
+        pytest.skip("this Blender has no thin walls")
+    node.inputs["Thin Wall"].default_value = True
+    (head, *parts), _, lines = t.parts(node)
+    assert (head["shader"], [int(part["unsure"]) for part in parts], len(lines)) == (Shader.MIX, [1, 1], 1)
+    node.inputs["Transmission Weight"].default_value = 0.0
+    assert t.record(node)[0]["shader"] == Shader.PRINCIPLED
+
+
+def views(rays: Any) -> list[set[int]]:
+    """What sees the second part: ray types from the front, and from the back."""
+    return [{k for k in range(VIEWS) if int(rays) >> (k + side) & 1} for side in (0, VIEWS)]
+
+
+def test_rays_and_sides_are_told_apart() -> None:
+    """By Light Path, also through arithmetic, and by Backfacing: each ray sees what Cycles shows it, unreported."""
+    t = Tree()
+    clear, solid = t.new("ShaderNodeBsdfTransparent"), t.new("ShaderNodeBsdfDiffuse")
+    light, geometry = t.new("ShaderNodeLightPath"), t.new("ShaderNodeNewGeometry")
+    either = t.new("ShaderNodeMath", {0: light.outputs["Is Camera Ray"], 1: light.outputs["Is Reflection Ray"]}, operation="MAXIMUM")
+    for factor, front, back in (
+        (light.outputs["Is Camera Ray"], {RayType.CAMERA}, {RayType.CAMERA}),
+        (light.outputs["Is Shadow Ray"], {RayType.SHADOW}, {RayType.SHADOW}),
+        (either.outputs[0], {0, 1, 2}, {0, 1, 2}),
+        (geometry.outputs["Backfacing"], set(), set(range(VIEWS))),
+    ):
+        (head, *parts), _, lines = t.parts(t.new("ShaderNodeMixShader", {0: factor, 1: solid.outputs[0], 2: clear.outputs[0]}))
+        assert not lines
+        assert head["shader"] == Shader.BY_RAY
+        shaders = [int(part["shader"]) for part in parts]
+        sees = views(head["rays"])
+        if shaders == [Shader.TRANSPARENT, Shader.DIFFUSE]:  # the first part is what camera rays see
+            sees = [set(range(VIEWS)) - side for side in sees]
+        assert sees == [front, back]
+    record = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Alpha": light.outputs["Is Shadow Ray"]}))[0]
+    assert [float(part["alpha"]) for part in record[1:]] == [0, 1]
+
+
+@pytest.mark.parametrize("kind", ["TexNoise", "VertexColor", "ObjectInfo", "CameraData"])
+def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
+    """A share, an alpha or a transmission by what the tracer does not evaluate: a half, marked as unsure, and reported; other inputs are not."""
+    t = Tree()
+    source = t.new(f"ShaderNode{kind}").outputs
+    value = next(s for s in source if s.type == "VALUE" and s.name not in {"Alpha"}) if kind != "VertexColor" else source[0]
+    clear = t.new("ShaderNodeBsdfTransparent")
+    for factor in (value, t.new("ShaderNodeMath", {0: value, 1: 0.1}, operation="MULTIPLY").outputs[0]):
+        (head, *parts), _, lines = t.parts(t.new("ShaderNodeMixShader", {0: factor, 1: clear.outputs[0], 2: t.new("ShaderNodeBsdfPrincipled").outputs[0]}))
+        assert (head["shader"], head["alpha"], [int(part["unsure"]) for part in parts]) == (Shader.MIX, 0.5, [1, 1])
+        assert len(lines) == 1
+    for socket, field in (("Alpha", "alpha"), ("Transmission Weight", "transmission")):
+        (record,), _, _ = t.parts(t.new("ShaderNodeBsdfPrincipled", {socket: value}))
+        assert (record[field], record["unsure"]) == (0.5, 1)
+    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Roughness": value}))
+    assert (record["unsure"], len(lines)) == (0, 1)
+
+
+def test_alpha_of_an_image_elsewhere_is_not_known() -> None:
+    """An image that is not placed by UVs has its holes elsewhere."""
+    t = Tree()
+    for place, known in ((t.new("ShaderNodeUVMap"), True), (t.new("ShaderNodeTexCoord").outputs["Object"].node, False)):
+        output = place.outputs[0] if known else place.outputs["Object"]
+        node = t.new("ShaderNodeTexImage", {"Vector": output}, image=image(random_pixels()))
+        (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Alpha": node.outputs["Alpha"]}))
+        assert (record["unsure"], bool(lines), record["alpha_texture"] >= 0) == (not known, not known, known)
+
+
+def test_a_volume_alone_lets_light_pass() -> None:
+    """Half of it straight on; beside a surface that surface counts."""
+    t = Tree()
+    t.tree.links.new(t.new("ShaderNodeVolumeScatter").outputs[0], t.output.inputs["Volume"])
+    (head, clear, scatters), _, lines = t.parts(None)
+    assert (head["alpha"], clear["shader"], scatters["shader"], clear["unsure"]) == (0.5, Shader.TRANSPARENT, Shader.TRANSLUCENT, 1)
+    assert lines == ["material m: volume not rendered"]
+    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfDiffuse"))
+    assert (record["shader"], len(lines)) == (Shader.DIFFUSE, 1)
+
+
+def test_image_with_mapping() -> None:
+    """Byte pixels come bottom row first, exactly; sRGB flag, extension, UV map and the matrix of Mapping nodes follow."""
+    t = Tree()
+    pixels = random_pixels()
+    place = t.new("ShaderNodeUVMap", uv_map="other")
+    mapping = t.new("ShaderNodeMapping", {"Vector": place.outputs[0], "Location": (0.1, 0.2, 0), "Rotation": (0, 0, np.pi / 2), "Scale": (2, 3, 1)})
+    node = t.new("ShaderNodeTexImage", {"Vector": mapping.outputs[0]}, image=image(pixels), extension="MIRROR", interpolation="Closest")
+    tint = t.new("ShaderNodeMix", {0: 1.0, 6: node.outputs[0], 7: (0.5, 0.25, 1, 1)}, data_type="RGBA", blend_type="MULTIPLY")
+    record, textures, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Base Color": tint.outputs[2]}))
+    assert not lines
+    np.testing.assert_allclose(record["base_color"], [0.5, 0.25, 1])
+    r = textures.records[record["base_color_texture"]]
+    assert (r["srgb"], r["is_float"], r["closest"], r["extension"], r["uv_map"]) == (1, 0, 1, Extension.MIRROR, 1)
+    np.testing.assert_allclose(r["uv_matrix"], [[0, -3, 0.1], [2, 0, 0.2]], atol=1e-6)  # rotate (scale u)
+    np.testing.assert_array_equal(pixels_of(textures, record["base_color_texture"]), np.round(pixels * 255))
+
+
+def test_pixel_arithmetic_is_baked() -> None:
+    """What is no product with a constant is computed pixel by pixel: here gloss to roughness, and the alpha that mixes in Transparent."""
+    t = Tree()
+    pixels = random_pixels(1)
+    node = t.new("ShaderNodeTexImage", image=image(pixels, data=True))
+    red = t.new("ShaderNodeSeparateColor", {0: node.outputs[0]})
+    rough = t.new("ShaderNodeMath", {0: 1.0, 1: red.outputs[1]}, operation="SUBTRACT")
+    bsdf = t.new("ShaderNodeBsdfPrincipled", {"Roughness": rough.outputs[0], "Metallic": red.outputs[2]})
+    record, textures, lines = t.record(t.new("ShaderNodeMixShader", {0: red.outputs[0], 1: bsdf.outputs[0], 2: t.new("ShaderNodeBsdfTransparent").outputs[0]}))
+    assert not lines
+    assert record["metallic_channel"] == 2
+    np.testing.assert_array_equal(pixels_of(textures, record["metallic_texture"])[..., 2], np.round(pixels[..., 2] * 255))
+    assert textures.records[record["metallic_texture"]]["srgb"] == 0
+    np.testing.assert_allclose(pixels_of(textures, record["roughness_texture"])[..., 0], 1 - pixels[..., 1], atol=1e-6)
+    np.testing.assert_allclose(pixels_of(textures, record["alpha_texture"])[..., 0], 1 - pixels[..., 0], atol=1e-6)
+
+
+def test_averages_are_linear() -> None:
+    """An input that takes no texture gets the mean of linear values, reported; float images are stored as they are."""
+    t = Tree()
+    pixels = random_pixels(2)
+    coded, floats = (t.new("ShaderNodeTexImage", image=image(pixels, floats=f)) for f in (False, True))
+    record, textures, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Specular Tint": coded.outputs[0], "Base Color": floats.outputs[0]}))
+    assert len(lines) == 1
+    np.testing.assert_allclose(record["specular_tint"], srgb_to_linear(pixels[..., :3]).mean(axis=(0, 1)), rtol=1e-5)
+    np.testing.assert_allclose(pixels_of(textures, record["base_color_texture"]), pixels, atol=1e-6)
+
+
+def test_missing_image_is_magenta() -> None:
+    """As in Cycles, and said."""
+    t = Tree()
+    gone = bpy.data.images.new("gone", 1, 1)
+    gone.source, gone.filepath = "FILE", "//nowhere.png"
+    record, textures, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Base Color": t.new("ShaderNodeTexImage", image=gone).outputs[0]}))
+    assert len(lines) == 1
+    assert "nowhere.png" in lines[0]
+    np.testing.assert_array_equal(pixels_of(textures, record["base_color_texture"])[0, 0], [1, 0, 1, 1])
+
+
+def test_gltf_import(tmp_path: Path) -> None:
+    """A textured material through Blender's own glTF exporter and importer: factors, ORM channels, normal map, emission, alpha, texture transform."""
+    t = Tree()
+    color, orm, normal, emission = random_pixels(3), random_pixels(4), random_pixels(5), random_pixels(6)
+    color[..., 3] = np.random.default_rng(7).integers(1, 256, (16, 8)) / 255
+    place = t.new("ShaderNodeMapping", {"Vector": t.new("ShaderNodeUVMap", uv_map="UVMap").outputs[0], "Scale": (2, 2, 1)})
+    tex = {
+        name: t.new("ShaderNodeTexImage", {"Vector": place.outputs[0]}, image=image(p, name, data))
+        for name, p, data in (("color", color, False), ("orm", orm, True), ("normal", normal, True), ("emission", emission, False))
+    }
+    tint = t.new("ShaderNodeMix", {0: 1.0, 6: tex["color"].outputs[0], 7: (0.5, 0.25, 1, 1)}, data_type="RGBA", blend_type="MULTIPLY")
+    split = t.new("ShaderNodeSeparateColor", {0: tex["orm"].outputs[0]})
+    rough = t.new("ShaderNodeMath", {0: split.outputs[1], 1: 0.5}, operation="MULTIPLY")
+    inputs = {
+        "Base Color": tint.outputs[2],
+        "Alpha": tex["color"].outputs[1],
+        "Roughness": rough.outputs[0],
+        "Metallic": split.outputs[2],
+        "Normal": t.new("ShaderNodeNormalMap", {"Color": tex["normal"].outputs[0], "Strength": 0.7}).outputs[0],
+        "Emission Color": tex["emission"].outputs[0],
+        "Emission Strength": 3.0,
+    }
+    t.tree.links.new(t.new("ShaderNodeBsdfPrincipled", inputs).outputs[0], t.output.inputs[0])
+    mesh = cube()
+    mesh.uv_layers.new(name="UVMap")
+    mesh.materials.append(t.material)
+    add("cube", mesh)
+    path = tmp_path / "scene.glb"
+    bpy.ops.export_scene.gltf(filepath=str(path))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.import_scene.gltf(filepath=str(path))
+    extraction = extract_frame(bpy.context.scene, allow_no_camera=True)
+    scene = extraction.scene
+    assert scene.approximated == ()
+    record = scene.materials[scene.slot_materials[scene.instances.slots[0]]]
+    np.testing.assert_allclose(record["base_color"], [0.5, 0.25, 1], rtol=1e-5)
+    np.testing.assert_allclose([record["roughness"], record["metallic"], record["alpha"]], [0.5, 1, 1], rtol=1e-5)
+    assert [record[f"{n}_channel"] for n in ("roughness", "metallic", "alpha")] == [1, 2, 3]
+    np.testing.assert_allclose(record["emission"], [3, 3, 3], rtol=1e-5)
+    assert record["normal_strength"] == pytest.approx(0.7)
+    for name, pixels in (("base_color", color), ("alpha", color), ("roughness", orm), ("metallic", orm), ("normal", normal), ("emission", emission)):
+        index = record[f"{name}_texture"]
+        assert index >= 0, name
+        np.testing.assert_array_equal(pixels_of(scene.textures, index), np.round(pixels * 255), err_msg=name)
+        assert scene.textures.records[index]["srgb"] == (name in {"base_color", "alpha", "emission"})
+        np.testing.assert_allclose(scene.textures.records[index]["uv_matrix"][:, :2], [[2, 0], [0, 2]], atol=1e-6)
+    assert scene.meshes[0].uvs is not None
+
+
+def test_an_output_for_cycles_counts_though_another_is_active() -> None:
+    material = bpy.data.materials.new("two outputs")
+    tree = material.node_tree
+    tree.nodes.clear()
+    for target, color in (("EEVEE", (1, 0, 0, 1)), ("CYCLES", (0, 1, 0, 1))):
+        output, node = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new("ShaderNodeBsdfDiffuse")
+        output.target, output.is_active_output = target, target == "EEVEE"
+        node.inputs["Color"].default_value = color
+        tree.links.new(node.outputs[0], output.inputs[0])
+    tree.nodes["Material Output"].is_active_output = True
+    table = MaterialTable(TextureTable(print))
+    table.index(material)
+    assert table.records[0]["base_color"].tolist() == [0, 1, 0]

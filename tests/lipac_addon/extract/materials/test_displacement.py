@@ -1,0 +1,160 @@
+"""How far materials displace, and the shells that stand for what they displace."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from lipac.core.scene.mesh import Mesh
+from lipac.core.scene.model import Shader
+from lipac.lipac_addon.extract import Extractor, extract_frame
+from lipac.lipac_addon.extract.materials.displacement import Relief, relief_of, shells
+
+from ..conftest import add, cube
+from .test_converter import Tree, image
+
+
+def displaced(source: Any = None, **inputs: float) -> Tree:
+    """A diffuse material that displaces; source: makes the socket of the height."""
+    t = Tree()
+    t.material.displacement_method = "DISPLACEMENT"
+    node = t.new("ShaderNodeDisplacement", {name.title(): value for name, value in inputs.items()})
+    if source is not None:
+        t.tree.links.new(source(t), node.inputs[0])
+    t.tree.links.new(node.outputs[0], t.output.inputs["Displacement"])
+    t.tree.links.new(t.new("ShaderNodeBsdfDiffuse").outputs[0], t.output.inputs["Surface"])
+    return t
+
+
+def noise(t: Tree) -> Any:
+    return t.new("ShaderNodeTexNoise").outputs[0]
+
+
+def fitted(t: Tree) -> Any:
+    return t.new("ShaderNodeMapRange", {0: unbounded(t), 3: -4.0, 4: 0.5}).outputs[0]
+
+
+def arithmetic(t: Tree) -> Any:
+    twice = t.new("ShaderNodeMath", {0: noise(t), 1: -2.0}, operation="MULTIPLY")
+    return t.new("ShaderNodeMath", {0: twice.outputs[0], 1: 0.25}, operation="ADD").outputs[0]
+
+
+def ramp(t: Tree) -> Any:
+    return t.new("ShaderNodeValToRGB", {0: noise(t)}).outputs[0]
+
+
+def unbounded(t: Tree) -> Any:
+    return t.new("ShaderNodeVectorMath", {0: t.new("ShaderNodeTexCoord").outputs["Object"]}, operation="LENGTH").outputs["Value"]
+
+
+def floats(t: Tree) -> Any:
+    pixels = np.ones((4, 4, 4), np.float32)
+    pixels[..., :3] = np.linspace(-3, 5, 16).reshape(4, 4, 1)
+    return t.new("ShaderNodeTexImage", image=image(pixels, floats=True, data=True)).outputs[0]
+
+
+@pytest.mark.parametrize(
+    ("source", "inputs", "expected"),
+    [
+        (None, {"height": 0.7, "midlevel": 0.5, "scale": 2.0}, (0.4, 0.4)),
+        (noise, {"midlevel": 0.5, "scale": 0.2}, (-0.1, 0.1)),
+        (noise, {"midlevel": 0.0, "scale": -3.0}, (-3.0, 0.0)),
+        (fitted, {"midlevel": 0.0, "scale": 1.0}, (-4.0, 0.5)),
+        (arithmetic, {"midlevel": 0.0, "scale": 1.0}, (-1.75, 0.25)),
+        (ramp, {"midlevel": 0.0, "scale": 1.0}, (0.0, 1.0)),
+        (floats, {"midlevel": 1.0, "scale": 1.0}, (-4.0, 4.0)),
+        (unbounded, {"midlevel": 0.0, "scale": 1.0}, (-np.inf, np.inf)),
+    ],
+)
+def test_ranges(source: Any, inputs: dict[str, float], expected: tuple[float, float]) -> None:
+    """What heights lie within, by their nodes; infinite where nobody can say."""
+    t = displaced(source, **inputs)
+    inlined = t.material.inline_shader_nodes()
+    relief = relief_of(inlined.node_tree)
+    assert relief is not None
+    np.testing.assert_allclose((relief.low, relief.high), expected, atol=1e-6)
+
+
+def test_no_relief() -> None:
+    """Where nothing is moved."""
+    inlined = displaced(None, height=0.5, midlevel=0.5).material.inline_shader_nodes()
+    assert relief_of(inlined.node_tree) is None
+
+
+def test_shells_are_of_what_is_displaced() -> None:
+    """A triangle of two: twice, moved along its normals; the other stays."""
+    positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
+    uvs = np.arange(24, dtype=np.float32).reshape(2, 2, 3, 2)
+    mesh = Mesh(positions, np.array([[0, 1, 2], [1, 3, 2]], np.uint32), uvs=uvs, slots=np.array([0, 1], np.uint16))
+    out = shells(mesh, np.tile(np.array([0, 0, 1], np.float32), (4, 1)), Relief(-0.5, 2.0, slots=(False, True)))
+    assert out.uvs is not None
+    assert out.slots is not None
+    np.testing.assert_allclose(out.positions[out.triangles][..., 2], np.repeat([[0.0], [-0.5], [2.0]], 3, axis=1))
+    np.testing.assert_array_equal(out.positions[out.triangles][:, :, :2], positions[mesh.triangles[[0, 1, 1]]][:, :, :2])
+    np.testing.assert_array_equal(out.uvs, uvs[:, [0, 1, 1]])
+    assert out.slots.tolist() == [0, 1, 1]
+
+
+@pytest.fixture
+def rock() -> Any:
+    """A cube with half a metre of noise."""
+    mesh = cube("rock")
+    t = displaced(noise, midlevel=0.5, scale=1.0)
+    mesh.materials.append(t.material)
+    add("rock", mesh)
+    return t
+
+
+def test_boxes_and_meshes_of_displaced_objects(rock: Tree) -> None:
+    """The box holds all that the surface may be; half of all rays pass each shell, and what they see is kept; said in the report. Bump moves nothing."""
+    scene = extract_frame(bpy.context.scene).scene
+    np.testing.assert_allclose(scene.instances.bounds[0] + scene.origin, [[-1.5] * 3, [1.5] * 3], atol=1e-5)
+    np.testing.assert_allclose(scene.mesh_bounds[0], [[-1.5] * 3, [1.5] * 3], atol=1e-5)
+    mesh = scene.meshes[0]
+    assert len(mesh.triangles) == 24
+    reach = np.abs(mesh.positions[mesh.triangles]).reshape(24, -1)  # corners move along (1, 1, 1) / sqrt 3
+    np.testing.assert_allclose(np.sort(np.unique(reach.round(4))), [1 - 0.5 / np.sqrt(3), 1 + 0.5 / np.sqrt(3)], atol=1e-4)
+    head, *parts = scene.materials
+    assert (head["shader"], head["alpha"], [int(p["shader"]) for p in parts], [int(p["unsure"]) for p in parts]) == (Shader.MIX, 0.5, [1, 5], [1, 1])
+    assert scene.approximated == ("material m: displacement taken for two surfaces, at its lowest and its highest: half of the rays pass each",)
+    for method, whole, line in (("BUMP", True, "material m: bump not rendered"), ("BOTH", False, "material m: displacement not rendered")):
+        rock.material.displacement_method = method
+        scene = Extractor(bpy.context.scene, whole=whole).frame(keep=False).scene
+        assert len(scene.meshes[0].triangles) == 12
+        assert (len(scene.materials), scene.approximated) == (1, (line,))
+
+
+def test_unknown_heights_reach_as_far_as_the_object() -> None:
+    mesh = cube("rock")
+    mesh.materials.append(displaced(unbounded).material)
+    add("rock", mesh)
+    scene = extract_frame(bpy.context.scene).scene
+    np.testing.assert_allclose(scene.mesh_bounds[0], np.array([[-1] * 3, [1] * 3]) * (1 + np.sqrt(12)), rtol=1e-5)
+
+
+def test_displacement_in_world_space_is_scaled_back(rock: Tree) -> None:
+    """Of an object of a tenth, half a metre in the world is five of its own."""
+    node = next(n for n in rock.tree.nodes if n.type == "DISPLACEMENT")
+    node.space = "WORLD"
+    bpy.data.objects["rock"].scale = (0.1, 0.1, 0.1)
+    scene = extract_frame(bpy.context.scene).scene
+    np.testing.assert_allclose(scene.instances.bounds[0] + scene.origin, [[-0.6] * 3, [0.6] * 3], atol=1e-5)
+
+
+def test_a_change_of_the_displacement_is_a_change(rock: Tree) -> None:
+    """The next frame has the new box and shells, and says so, though nothing else changed."""
+    with Extractor(bpy.context.scene) as extractor:
+        first = extractor.frame().scene
+        assert len(first.meshes[0].triangles) == 24
+        next(n for n in rock.tree.nodes if n.type == "DISPLACEMENT").inputs["Scale"].default_value = 4.0
+        extraction = extractor.frame()
+        scene, change = extraction.scene, extraction.change
+        assert change is not None
+        assert change.moved is not None
+        assert (change.moved.tolist(), [*change.deformed, *change.replaced]) == ([True], [0])
+        np.testing.assert_allclose(scene.mesh_bounds[0], [[-3] * 3, [3] * 3], atol=1e-5)
+        assert np.abs(scene.meshes[0].positions).max() == pytest.approx(1 + 2 / np.sqrt(3), rel=1e-4)
+        assert extractor.frame().change.still  # type: ignore[union-attr]

@@ -1,0 +1,154 @@
+"""The house: which module may import which, how large folders, modules and classes may be."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import lipac
+
+ROOT = Path(lipac.__file__).parent
+FOLDERS = ("core", "lipac_addon", "scripts")
+MODULES_TO_A_FOLDER, LINES_TO_A_MODULE, LINES_TO_A_CLASS = 12, 400, 200
+
+# Each imports from floors above it in this list, and from its own. A module belongs to the longest name that fits it.
+FLOORS = (
+    "core.arrays core.errors core.progress",
+    "core.jit core",
+    "core.files",
+    "core.scene",
+    "core.accel",
+    "core.feedback",
+    "core.error_budget",
+    "core.tracing.bsdf",
+    "core.tracing.lights core.tracing.textures core.tracing.shading",
+    "core.tracing",
+    "core.culling",
+    "core.hybrid",
+    "core.evaluation",
+    "core.warmup",
+    "lipac_addon.console lipac_addon.keys lipac_addon.timeline lipac_addon.depsgraph lipac_addon.pictures",
+    "lipac_addon.extract.materials",
+    "lipac_addon.extract.geometry",
+    "lipac_addon.extract",
+    "lipac_addon.open lipac_addon.raster lipac_addon.writeback",
+    "lipac_addon.demo lipac_addon.batch",
+    "lipac_addon.ui.state",
+    "lipac_addon.ui.jobs",
+    "lipac_addon.ui.draw",
+    "lipac_addon.ui",
+    "lipac_addon lipac_addon.family_trial",
+    "lipac",
+    "scripts",
+    "tests scripts.dev",
+)
+LONG_MODULES: dict[str, int] = {
+    "core.culling.loop": 609,
+    "core.tracing.bsdf.bsdf": 548,
+    "core.tracing.lights.lights": 435,
+    "core.tracing.path_kernel": 406,
+    "core.tracing.shading": 518,
+    "lipac_addon.batch.pipeline": 615,
+    "lipac_addon.extract.graph": 440,
+    "lipac_addon.extract.instances": 411,
+    "lipac_addon.extract.materials.converter": 543,
+    "lipac_addon.extract.materials.nodes": 457,
+    "scripts.studies.bench_animation": 403,
+}  # lines of those still to be split
+LONG_CLASSES: dict[str, int] = {
+    "core.culling.loop.Loop": 478,
+    "lipac_addon.extract.graph.GraphReader": 280,
+    "lipac_addon.extract.instances.Placer": 227,
+    "lipac_addon.extract.materials.converter._Converter": 290,
+    "lipac_addon.extract.materials.nodes.Reader": 330,
+}
+
+
+@cache
+def sources() -> dict[str, Path]:
+    """Files of the package by module name without `lipac.`; `lipac` itself by that name."""
+    found = {"lipac": ROOT / "__init__.py"}
+    for folder in FOLDERS:
+        for path in (ROOT / folder).rglob("*.py"):
+            found[".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")] = path
+    return found
+
+
+@cache
+def tree(name: str) -> ast.Module:
+    """The parsed module of a name."""
+    return ast.parse(sources()[name].read_text())
+
+
+def imports(name: str) -> set[str]:
+    """Names of our modules that a module imports, wherever that stands: in functions and for types alone, too."""
+    found = set()
+    package = name.split(".") if sources()[name].name == "__init__.py" else name.split(".")[:-1]
+    package = [] if name == "lipac" else package
+    for node in ast.walk(tree(name)):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = package[: len(package) - node.level + 1] + (node.module.split(".") if node.module else [])
+            for alias in node.names:
+                module = ".".join([*base, alias.name])
+                found.add(module if module in sources() else ".".join(base) or "lipac")
+    return found - {name}
+
+
+@cache
+def graph() -> dict[str, set[str]]:
+    """What each module imports."""
+    return {name: imports(name) for name in sources()}
+
+
+def floor(name: str) -> int:
+    """The floor of a module: an index of FLOORS."""
+    parts = name.split(".")
+    for k in range(len(parts), 0, -1):
+        for number, names in enumerate(FLOORS):
+            if ".".join(parts[:k]) in names.split():
+                return number
+    raise AssertionError(f"{name} is on no floor: add it to FLOORS")
+
+
+def test_nothing_is_imported_in_a_circle() -> None:
+    needs = {name: {used for used in of if used in sources()} for name, of in graph().items()}
+    assert needs["core.culling.loop"] >= {"core.accel.blas", "core.tracing.tracer"}  # or nothing was read
+    list(TopologicalSorter(needs).static_order())  # raises CycleError
+
+
+def test_no_import_goes_upwards() -> None:
+    up = [f"{name} imports {used}" for name, of in graph().items() for used in of if floor(used) > floor(name)]
+    assert not up
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_folders_are_small(folder: str) -> None:
+    for path in (ROOT / folder, *(p for p in (ROOT / folder).rglob("*") if p.is_dir() and p.name != "__pycache__")):
+        modules = [p.name for p in path.glob("*.py") if p.name != "__init__.py"]
+        assert len(modules) <= MODULES_TO_A_FOLDER, f"{path.relative_to(ROOT)}: {sorted(modules)}"
+
+
+def test_rooms_say_what_lives_there() -> None:
+    for name, path in sources().items():
+        if path.name == "__init__.py" and name != "lipac":
+            assert ast.get_docstring(tree(name)), name
+
+
+def test_modules_and_classes_are_short() -> None:
+    modules = {name: len(path.read_text().splitlines()) for name, path in sources().items()}
+    long = {name: lines for name, lines in modules.items() if lines > LINES_TO_A_MODULE}
+    assert long.keys() == LONG_MODULES.keys(), long
+    assert all(lines <= LONG_MODULES[name] for name, lines in long.items()), "it has grown"
+    classes = {
+        f"{name}.{node.name}": (node.end_lineno or 0) - node.lineno + 1
+        for name in sources()
+        for node in ast.walk(tree(name))
+        if isinstance(node, ast.ClassDef)
+    }
+    long = {name: lines for name, lines in classes.items() if lines > LINES_TO_A_CLASS}
+    assert long.keys() == LONG_CLASSES.keys(), long
+    assert all(lines <= LONG_CLASSES[name] for name, lines in long.items()), "it has grown"
