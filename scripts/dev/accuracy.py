@@ -24,7 +24,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--only", metavar="GROUP", help="print the rows of one group and write nothing")
     args = parser.parse_args(argv)
     for name in MODULES:
-        importlib.import_module(f"..tests.hard.{name}", __package__)
+        importlib.import_module(f"...tests.hard.{name}", __package__)
     from ...tests.hard.case import CASES
 
     results: list[tuple[Case, list[Figure]]] = []

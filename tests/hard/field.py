@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lipac.core.judge import picture_change
-from lipac.core.report import States, load_states
-from lipac.core.scene import F32
+from lipac.core.arrays import F32
+from lipac.core.evaluation.judge import picture_change
+from lipac.core.files.report import States, load_states
 from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.lipac import main
 
