@@ -87,7 +87,7 @@ def test_links_and_what_has_our_names_are_left_alone(tmp_path: Path) -> None:
 MANY = """
 import sys
 from pathlib import Path
-from lipac.core.files import replacing
+from lipac.core.files.atomic import replacing
 from lipac.core.files.report import output_folder
 folder = Path(sys.argv[1])
 for k in range(150):

@@ -127,7 +127,7 @@ def test_users_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variables
 
 SUM = """
 import sys
-from lipac.core import healing, kernel_cache
+from lipac.core.jit import healing, kernel_cache
 from numba import njit
 import importlib.util
 spec = importlib.util.spec_from_file_location("kernel", sys.argv[1])

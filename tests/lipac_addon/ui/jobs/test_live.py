@@ -350,7 +350,7 @@ def test_quitting_in_the_midst_of_a_round(boxes_file):
 import bpy, lipac, time
 lipac.register()
 bpy.ops.wm.open_mainfile(filepath={str(boxes_file)!r})
-from lipac.lipac_addon.ui import live
+from lipac.lipac_addon.ui.jobs import live
 live.start()
 while live.current is None or live.current.rounds < 2:
     live.tick()

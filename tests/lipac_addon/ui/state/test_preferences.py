@@ -82,7 +82,7 @@ def test_the_button_removes_what_is_ours_alone(tmp_path, monkeypatch):
 
 CACHE = """
 import os, sys, bpy, lipac
-from lipac.lipac_addon.ui import kernels, preferences
+from lipac.lipac_addon.ui.state import kernel_folder, preferences
 addon = bpy.context.preferences.addons.new()
 addon.module = "lipac"
 bpy.utils.register_class(preferences.LipacPreferences)
@@ -93,9 +93,9 @@ from lipac.core.jit.kernel_cache import user_cache
 assert str(user_cache()) == sys.argv[1], user_cache()
 folder = next(user_cache().glob("kernels-*"))
 (folder / "a.nbi").write_bytes(bytes(1000))
-assert kernels.size() == 1000
+assert kernel_folder.size() == 1000
 assert bpy.ops.lipac.clear_cache() == {"FINISHED"}
-assert kernels.size() == 0 and not folder.exists()
+assert kernel_folder.size() == 0 and not folder.exists()
 lipac.unregister()
 assert "LIPAC_CACHE_DIR" not in os.environ
 print("DONE")
