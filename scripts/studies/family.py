@@ -53,7 +53,7 @@ class Plan:
         """All that a record depends on, but for its seed."""
         from ..options import digest
 
-        sources = sorted([*(ROOT / "core").glob("*.py"), *(ROOT / "lipac_addon").rglob("*.py")])
+        sources = sorted([*(ROOT / "core").rglob("*.py"), *(ROOT / "lipac_addon").rglob("*.py")])
         return {"size": list(self.size), "samples": self.samples, "threads": self.threads, "instances": self.instances, "code": digest(*sources)[:12]}
 
 

@@ -136,7 +136,7 @@ def blenders(pattern: str) -> Path:
 
 def traced(**environment: str) -> None:
     """The core's tests of tracing, in a process of its own."""
-    names = ("test_tlas.py", "test_hitboxes.py", "test_tracer.py::test_same_picture_and_counts_at_any_number_of_threads")
+    names = ("accel/test_tlas.py", "accel/test_hitboxes.py", "tracing/test_tracer.py::test_same_picture_and_counts_at_any_number_of_threads")
     tests = [str(ROOT / "tests" / "core" / name) for name in names]
     arguments = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests]
     done = subprocess.run(arguments, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, timeout=600, check=False)
