@@ -152,3 +152,14 @@ def test_modules_and_classes_are_short() -> None:
     long = {name: lines for name, lines in classes.items() if lines > LINES_TO_A_CLASS}
     assert long.keys() == LONG_CLASSES.keys(), long
     assert all(lines <= LONG_CLASSES[name] for name, lines in long.items()), "it has grown"
+
+
+def test_the_user_interface_hides_no_import_of_its_own() -> None:
+    for name in sources():
+        if name.startswith("lipac_addon.ui"):
+            inside = {node for function in ast.walk(tree(name)) if isinstance(function, ast.FunctionDef) for node in ast.walk(function)}
+            for node in inside:
+                if isinstance(node, ast.ImportFrom) and node.level:
+                    depth = len(name.split(".")) - node.level + (sources()[name].name == "__init__.py")
+                    base = [*name.split(".")[:depth], *(node.module or "").split(".")]
+                    assert base[:2] != ["lipac_addon", "ui"], (name, node.lineno)
