@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from .engines import render_blender
 GRID = (4, 3)  # crops of a picture, across and up: each has 4 x 3 coarse tiles
 PATH_SAMPLES = 64  # of the path tracer, at most
 PATH_SEED = 0x766572  # so that its random numbers are never those of an analysis
+NORMAL = NormalDist()
 NOISE = 3.0  # standard errors: what is above a bound by less may be noise
 Crop = tuple[int, int]
 
@@ -37,7 +39,8 @@ Crop = tuple[int, int]
 class Verified:
     """Relative change of the coarse tiles of the crops: their mean, and the worst of them. crops: (K,) columns and rows of GRID, rows from the bottom.
 
-    least_mean, least_worst: what is left of both when NOISE standard errors of the pixels' differences are taken off.
+    least_mean, least_worst: what is left of both when what noise may make is taken off, by the pixels' differences: of each tile the mean size of its noise,
+    and NOISE standard errors of all tiles; of the worst tile as many standard errors as are as rare for the worst of so many as NOISE are for one.
     """
 
     mean: float
@@ -123,9 +126,10 @@ def change(full: list[F32], culled: list[F32], crops: tuple[Crop, ...]) -> Verif
     d = [_luminance(q) - _luminance(p) for p, q in zip(full, culled, strict=True)]
     change, square, count = (np.concatenate([_tiles(x) for x in each]) for each in (d, [x**2 for x in d], [np.full(x.shape, 1 / _per_tile(x)) for x in d]))
     light = np.maximum(a, max(DARK * float(a.mean()), 1e-30))
-    size, noise = np.abs(change) / light, NOISE * np.sqrt(np.maximum(square - change**2, 0.0) * count) / light
-    least_mean = max(float(size.mean() - np.sqrt((noise**2).sum()) / len(size)), 0.0)
-    return Verified(float(size.mean()), float(size.max()), least_mean, max(float((size - noise).max()), 0.0), crops)
+    size, noise = np.abs(change) / light, np.sqrt(np.maximum(square - change**2, 0.0) * count) / light
+    least_mean = size.mean() - np.sqrt(2 / np.pi) * noise.mean() - NOISE * np.sqrt((noise**2).sum()) / len(size)
+    least_worst = (size - NORMAL.inv_cdf(1 - (1 - NORMAL.cdf(NOISE)) / len(size)) * noise).max()
+    return Verified(float(size.mean()), float(size.max()), max(float(least_mean), 0.0), max(float(least_worst), 0.0), crops)
 
 
 def _luminance(crop: F32) -> F64:

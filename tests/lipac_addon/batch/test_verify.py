@@ -67,6 +67,19 @@ def test_what_noise_may_make_is_taken_off() -> None:
     assert not noise.breaks(Budget(1e-4, 1e-4)) and real.breaks(Budget(0.05, 0.9)) and real.breaks(Budget(0.9, 0.05))
 
 
+def test_noise_of_few_pixels_breaks_no_budget() -> None:
+    """Pairs of independent noise, 4 x 4 pixels in each of 144 tiles: the mean size of noise is no change, and some tile is always off by a lot."""
+    rng = np.random.default_rng(1)
+    crops = tuple((x, y) for y in range(GRID[1]) for x in range(GRID[0]))
+    found = []
+    for _ in range(40):
+        full, culled = ([rng.gamma(2.0, 0.5, (12, 16, 1)).astype(np.float32) * np.ones(4, np.float32) for _ in crops] for _ in range(2))
+        found.append(change(full, culled, crops))
+    assert min(one.mean for one in found) > 0.1
+    assert sum(one.least_mean > 0 for one in found) == 0
+    assert sum(one.least_worst > 0.05 for one in found) <= 2
+
+
 @pytest.mark.parametrize("enforce", [False, True])
 def test_a_broken_budget_warns_or_is_enforced(boxes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, enforce: bool) -> None:
     """An analysis that takes any change for none: the engine's pictures say otherwise. Enforced, the last attempt keeps everything."""
