@@ -62,9 +62,9 @@ def read_picture(path: Path) -> F32:
 
 def _save(image: bpy.types.Image, scene: bpy.types.Scene, stem: Path) -> None:
     """Raises OSError where a picture cannot be written whole, which Blender does not say itself: a full disk, a folder that is gone."""
-    for suffix, values in _FORMATS.items():
+    for suffix in _FORMATS:
         path = stem.with_name(stem.name + suffix)
-        with replacing(path) as part, _settings(scene, values):
+        with replacing(path) as part, saved_as(scene, suffix):
             try:
                 image.save_render(str(part), scene=scene)
             except RuntimeError as error:
@@ -72,8 +72,9 @@ def _save(image: bpy.types.Image, scene: bpy.types.Scene, stem: Path) -> None:
 
 
 @contextmanager
-def _settings(scene: bpy.types.Scene, values: dict[str, str]) -> Iterator[None]:
-    settings = scene.render.image_settings
+def saved_as(scene: bpy.types.Scene, suffix: str) -> Iterator[None]:
+    """The format of saved pictures is ours of that ending, whatever the file says, a film for example."""
+    settings, values = scene.render.image_settings, _FORMATS[suffix]
     mode = "RGBA" if scene.render.film_transparent else "RGB"
     with changed(settings, media_type="IMAGE", **values, color_mode=mode, color_management="FOLLOW_SCENE"):
         yield

@@ -20,7 +20,7 @@ from ...core.progress import Progress, silent
 from ...core.scene.model import Scene
 from ..console import muted
 from ..depsgraph import changed, rendered_layers
-from ..pictures import save_pixels, save_render_result
+from ..pictures import save_pixels, save_render_result, saved_as
 
 if TYPE_CHECKING:
     from ...core.accel.blas import BlasCache
@@ -134,6 +134,7 @@ def _render_settings(
     with ExitStack() as stack:
         plain = {"use_border": False, "use_sequencer": False, "use_multiview": False, "use_persistent_data": False}
         stack.enter_context(changed(render, engine=BLENDER_ENGINES[engine], **plain))
+        stack.enter_context(saved_as(scene, ".exr"))  # Blender renders no film of less than 16 pixels, nor a part of it
         if border is not None:
             sides = dict(zip(("border_min_x", "border_min_y", "border_max_x", "border_max_y"), border, strict=True))
             stack.enter_context(changed(render, use_border=True, use_crop_to_border=True, **sides))

@@ -48,6 +48,15 @@ def test_file_outputs_write_nothing(boxes, tmp_path):
     assert (tmp_path / "theirs").exists()  # Blender alone would have written
 
 
+def test_parts_of_a_film(boxes, tmp_path):
+    """Blender refuses to render a film of less than 16 pixels, and a verification renders parts."""
+    settings = boxes.render.image_settings
+    settings.media_type, settings.file_format = "VIDEO", "FFMPEG"
+    render_blender("cycles", tmp_path / "a", samples=1, border=(0.0, 0.0, 0.25, 1 / 3))
+    assert read_picture(tmp_path / "a.exr").shape[:2] == (12, 16)
+    assert (settings.media_type, settings.file_format) == ("VIDEO", "FFMPEG")
+
+
 def test_eevee(boxes, tmp_path):
     boxes.render.resolution_percentage = 50
     render_blender("eevee", tmp_path / "a", samples=1)
