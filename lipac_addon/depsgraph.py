@@ -98,6 +98,21 @@ def own_slot() -> Iterator[None]:
         slots.active_index = shown
 
 
+def go_to(scene: Any, frame: float) -> None:
+    """Make a frame, perhaps between two, the scene's current one. Nothing is evaluated, but for frames before 0, which Blender's properties take for 0."""
+    if frame < 0 and frame != scene.frame_float:
+        whole = math.floor(frame)
+        scene.frame_set(whole, subframe=frame - whole)
+    elif frame != scene.frame_float:
+        scene.frame_float = frame
+
+
+def show_frame(scene: Any, number: int) -> None:
+    """Make a frame the current one, as `go_to`; a scene that is there already may be between it and the next one, and stays."""
+    if number != scene.frame_current:
+        go_to(scene, number)
+
+
 def rendered_layers(scene: Any) -> tuple[str, ...]:
     """Names of the view layers that a render of a scene renders."""
     return tuple(layer.name for layer in scene.view_layers if layer.use)

@@ -27,7 +27,7 @@ from ...core.scene.bounds import existing
 from ...core.scene.model import RAY_TYPES, Scene
 from .. import writeback
 from ..console import muted
-from ..depsgraph import rendered_layers
+from ..depsgraph import rendered_layers, show_frame
 from ..extract import Extraction, Extractor
 from ..keys import KEY, Keys, any_of
 from .baked import save_baked
@@ -503,7 +503,7 @@ def _hybrid(
 
 def _render_whole(job: Job, frame: int, progress: Progress) -> dict[str, Any]:
     """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed. Returns the entry for the report."""
-    bpy.context.scene.frame_current = frame
+    show_frame(bpy.context.scene, frame)
     with counting() as counted:
         seconds = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, part(progress, 0.0, 1.0, "rendering, "))
     n = len(counted.keys.records)
@@ -562,7 +562,7 @@ def _run_shot(job: Job, finished: set[int], report: Report, progress: Progress, 
             entry: dict[str, Any] = json.loads(states.note)
             entry |= {"needed": entry["active"], "active": int(active.sum()), "culled": int((~active).sum()), "pending": 0}
             if job.engine in BLENDER_ENGINES:
-                bpy.context.scene.frame_current = frame
+                show_frame(bpy.context.scene, frame)
                 entry |= {**written, "writeback_s": written["writeback_s"] / len(job.frames)}
                 entry["render_s"] = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, within)
             elif job.engine:

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.tracing.second_process import share
-from ..depsgraph import RenderGraph
+from ..depsgraph import RenderGraph, go_to, show_frame
 from .camera import NO_CAMERA
 from .scene import Extraction, Frame, SceneReader
 from .shutter import Shutter, read_shutter
@@ -55,18 +55,18 @@ class Extractor:
         of `Extraction.moments`.
         Raises InputError: no camera, an unsupported camera, nothing to render, the scene cannot be rendered.
         """
-        if number is not None and number != self.scene.frame_current:
-            self.scene.frame_current = number
+        if number is not None:
+            show_frame(self.scene, number)
         if self.scene.camera is None and not self.allow_no_camera:
             raise InputError(NO_CAMERA)
         own, self._at = self.scene.frame_float, at
         try:
             if at:
-                self.scene.frame_float = self.scene.frame_current + at
+                go_to(self.scene, own + at)
             frame, world, mark = self._graph.evaluate(self._read, keep)
         finally:
             if at:
-                self.scene.frame_float = own
+                go_to(self.scene, own)
         if world is None:
             if self._world is None or mark != self._fingerprint:
                 self._world = self._bake()
@@ -96,7 +96,7 @@ class Extractor:
             world = constant_world(item)
         frame = self._reader.read(depsgraph, goes_on)
         if self._whole and not self._at:
-            number = depsgraph.scene_eval.frame_current
+            number = depsgraph.scene_eval.frame_float  # perhaps between two frames
             self._shutter = read_shutter(depsgraph, frame.scene.film, lambda time: self._graph.move_to(number + time))
         frame = frame.exposed(self._shutter)
         self.read_s = time.perf_counter() - start
@@ -104,7 +104,7 @@ class Extractor:
 
     def _bake(self) -> ExtractedWorld:
         """The world of the current frame, rendered. Blender then frees the graph."""
-        self.scene.frame_set(self.scene.frame_current)  # animated values get to the world that is rendered
+        self.scene.frame_set(self.scene.frame_current, subframe=self.scene.frame_subframe)  # animated values get to the world that is rendered
         layer = self.scene.view_layers[self._graph.layer]
         return baked_world(getattr(layer, "world_override", None) or self.scene.world)
 

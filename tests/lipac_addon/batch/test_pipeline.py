@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import bpy
+import numpy as np
 import pytest
 
 from lipac.core.accel.blas import BlasCache
@@ -14,6 +15,7 @@ from lipac.core.files.report import Report, load_states
 from lipac.lipac_addon.batch import pipeline
 from lipac.lipac_addon.batch.hybrid_frame import HybridOptions
 from lipac.lipac_addon.batch.pipeline import FRAME, SHOT, Job, run
+from lipac.lipac_addon.pictures import read_picture
 
 DISTANCE = CullOptions(policy="distance", distance=19.5)  # the boxes behind the wall are further
 
@@ -160,3 +162,23 @@ def test_a_report_stays_until_there_is_something_to_say(boxes, tmp_path):
     run(Job(tmp_path, (1,), DISTANCE), other)
     assert json.loads((tmp_path / "report.json").read_text())["seed"] == 7
     assert (tmp_path / "report_earlier_1.json").read_bytes() == before
+
+
+def test_frames_before_zero(boxes, tmp_path):
+    """The current frame is -5, where the camera looks away: that is what all ways to render show, and where the scene stays."""
+    boxes.camera.rotation_euler.x = -1.25
+    boxes.camera.keyframe_insert("rotation_euler", frame=-5)
+    boxes.camera.rotation_euler.x = 1.25
+    boxes.camera.keyframe_insert("rotation_euler", frame=0)
+    boxes.frame_set(-5)
+    pictures = []
+    for policy, bake in (("none", "frame"), ("light-paths", "frame"), ("light-paths", "shot")):
+        folder = tmp_path / (policy + bake)
+        run(Job(folder, (-5,), CullOptions(policy=policy), "cycles", 1, bake=bake), Report("boxes", "", "", policy, "cycles", 0, 1))
+        pictures.append(read_picture(next(folder.glob("frame_*.exr"))))
+        assert boxes.frame_float == -5
+    boxes.frame_set(0)
+    run(Job(tmp_path / "other", (0,), CullOptions(policy="none"), "cycles", 1), Report("boxes", "", "", "none", "cycles", 0, 1))
+    assert np.abs(pictures[0] - read_picture(tmp_path / "other" / "frame_0000.exr")).mean() > 0.1
+    for picture in pictures[1:]:
+        assert np.abs(picture - pictures[0]).mean() < 0.01 * pictures[0].mean()

@@ -12,6 +12,7 @@ from lipac.core.culling.options import CullOptions
 from lipac.core.files.report import Report, load_states
 from lipac.core.scene.model import Camera
 from lipac.lipac_addon.batch.pipeline import Job, run
+from lipac.lipac_addon.depsgraph import go_to
 from lipac.lipac_addon.extract import Extractor, extract_frame
 from lipac.lipac_addon.extract.shutter import CAMERAS
 
@@ -57,6 +58,25 @@ def test_cameras_of_an_exposure(exposed: Any, position: str, first: float) -> No
     np.testing.assert_allclose(scene.camera.to_world[0, 3] + scene.origin[0], 10, atol=1e-5)
     assert extraction.moments == ()
     assert exposed.frame_float == 5
+
+
+@pytest.mark.parametrize("frame", [5.5, -3.75])
+def test_between_two_frames(exposed: Any, frame: float) -> None:
+    """An exposure around a moment between two frames, where the scene then still is; what else moves is looked at when the shutter opens and closes for it."""
+    animate(exposed.camera, "location", 0, (-10, -20.0), (10, 20.0))
+    animate(bpy.data.objects["cube"], "location", 2, (-10, -1.0), (10, 1.0))
+    go_to(exposed, frame)
+    with Extractor(exposed) as extractor:
+        extraction = extractor.frame()
+        times = frame - 0.5 + (np.arange(CAMERAS) + 0.5) / CAMERAS
+        np.testing.assert_allclose(path(extraction.scene.shutter, extraction.scene.origin, 0), 2 * times, atol=1e-5)
+        assert exposed.frame_float == frame
+        bounds = [extraction.scene.instances.bounds[0, 0, 2] + extraction.scene.origin[2]]
+        for moment in extraction.moments:
+            other = extractor.frame(None, True, moment).scene
+            bounds.append(other.instances.bounds[0, 0, 2] + other.origin[2])
+        np.testing.assert_allclose(np.diff([bounds[1], bounds[0], bounds[2]]), 0.05, atol=1e-5)
+    assert exposed.frame_float == frame
 
 
 def test_a_turning_camera_turns_evenly(exposed: Any) -> None:
