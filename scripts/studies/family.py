@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import queue
-import subprocess
 import sys
 import threading
 import time
@@ -21,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from .. import children
+from ..children import Child
+
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = (sys.executable, "-m", "lipac.scripts.studies.family")  # of a child process
 RENEWED = 25  # scenes after which a process is replaced by a new one: what leaks does so no further
-START_LIMIT = 600.0  # seconds for a process to be ready; the first one may have to compile the kernels
-MARK = "lipac-family "  # before what a child process has to say
 BUDGETS = (0.003, 0.006, 0.012, 0.025, 0.06)  # of the mean: bins of the table
 PIXELS = (0.1, 0.5, 2.0, 10.0, 100.0)
 COLUMNS = ("scenes", "runs", "held", "surely held", "mean held", "worst tile held", "beyond twice", "detail held", "kept, median", "analysis to Cycles, median")
@@ -56,108 +56,32 @@ class Plan:
         sources = sorted([*(ROOT / "core").rglob("*.py"), *(ROOT / "lipac_addon").rglob("*.py")])
         return {"size": list(self.size), "samples": self.samples, "threads": self.threads, "instances": self.instances, "code": digest(*sources)[:12]}
 
-
-class Child:
-    """A process that does one scene after the other. Raises RuntimeError where it does not start."""
-
-    def __init__(self, plan: Plan, number: int) -> None:
-        self.plan, self.done = plan, 0
-        limited = {name: str(plan.threads) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
-        given = json.dumps({"size": plan.size, "samples": plan.samples, "threads": plan.threads, "instances": plan.instances, "number": number})
-        self._log: list[str] = []
-        pipe, environment = subprocess.PIPE, os.environ | limited
-        self.process = subprocess.Popen([*COMMAND, given], stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment)
-        threading.Thread(target=self._read_errors, daemon=True).start()
-        if (answer := self._answer(START_LIMIT)) is None or answer.get("ready") is not True:
-            self.end()
-            raise RuntimeError(f"a process for scenes does not start: {self._last_words()}")
-
-    def do(self, seed: int) -> dict[str, Any]:
-        """The record of a seed: with `failed` where the process crashed, hung or could not do it."""
-        assert self.process.stdin is not None
-        self.done += 1
-        try:
-            print(seed, file=self.process.stdin, flush=True)
-            answer = self._answer(self.plan.limit)
-        except BrokenPipeError:
-            answer = None
-        if answer is not None:
-            return answer
-        hung = self.process.poll() is None
-        self.end()
-        words = self._last_words()
-        return {"seed": seed, "failed": f"over {self.plan.limit:g} s" if hung else f"crashed with status {self.process.returncode}: {words}"}
-
-    @property
-    def alive(self) -> bool:
-        """Whether it can do another one."""
-        return self.process.poll() is None
-
-    def end(self) -> None:
-        """End the process."""
-        if self.alive:
-            self.process.kill()
-        self.process.wait()
-
-    def _answer(self, limit: float) -> dict[str, Any] | None:
-        """What it says next, None where it ends, or says nothing within so many seconds: then it is still alive."""
-        said: queue.Queue[str] = queue.Queue()
-        stdout = self.process.stdout
-        assert stdout is not None
-
-        def listen() -> None:
-            line = "."
-            while line and not line.startswith(MARK):
-                line = stdout.readline()
-            said.put(line)
-
-        threading.Thread(target=listen, daemon=True).start()
-        try:
-            line = said.get(timeout=limit)
-        except queue.Empty:
-            return None
-        if not line:
-            self.process.wait()
-        return json.loads(line[len(MARK) :]) if line else None
-
-    def _read_errors(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self._log = [*self._log[-4:], line.strip()]
-
-    def _last_words(self) -> str:
-        return " | ".join(self._log)[-300:]
+    def child(self, number: int) -> Child:
+        """A new process for scenes. Raises RuntimeError where it does not start."""
+        given = {"size": self.size, "samples": self.samples, "threads": self.threads, "instances": self.instances, "number": number}
+        return Child(COMMAND, given, self.threads, self.limit)
 
 
 def serve(given: dict[str, Any]) -> None:
-    """What a child process does: a seed from each line of stdin, its record to stdout. Its job number picks the processors that are its own."""
+    """What a child process does. Its job number picks the processors that are its own."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     own = cores[given["number"] * given["threads"] :][: given["threads"]]
     if len(own) == given["threads"]:
         os.sched_setaffinity(0, own)
-    out = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what Blender prints is not for whoever listens
 
-    def say(what: dict[str, Any]) -> None:
-        print(MARK + json.dumps(what, default=float), file=out, flush=True)
+    def prepare() -> Callable[[int], dict[str, Any]]:
+        from ...core.jit import kernel_cache
+        from ...lipac_addon.console import muted
 
-    from ...core.jit import kernel_cache
-    from ...lipac_addon.console import muted
+        kernel_cache.use()
+        with muted():
+            import bpy  # noqa: F401
+        from ...lipac_addon import family_trial
 
-    kernel_cache.use()
-    with muted():
-        import bpy  # noqa: F401
-    from ...lipac_addon import family_trial
+        family_trial.warm(given["threads"])
+        return lambda seed: family_trial.run(seed, tuple(given["size"]), given["samples"], given["threads"], given["instances"])
 
-    family_trial.warm(given["threads"])
-    say({"ready": True})
-    for line in sys.stdin:
-        seed, start, cpu = int(line), time.perf_counter(), time.process_time()
-        try:
-            record = family_trial.run(seed, tuple(given["size"]), given["samples"], given["threads"], given["instances"])
-        except Exception as error:  # anything: the record says what
-            record = {"seed": seed, "failed": f"{type(error).__name__}: {error}"}
-        say(record | {"seconds": time.perf_counter() - start, "cpu_s": time.process_time() - cpu})
+    children.serve(prepare)
 
 
 def main(seeds: range, folder: Path, plan: Plan, jobs: int, stop_after: float, tell: Callable[[str], None]) -> int:
@@ -172,7 +96,7 @@ def main(seeds: range, folder: Path, plan: Plan, jobs: int, stop_after: float, t
     missing = [seed for seed in seeds if not _done(place, seed, options)]
     for seed in missing:
         waiting.put(seed)
-    children: dict[int, Child] = {}
+    workers: dict[int, Child] = {}
     problems: list[str] = []
     stopped, count = threading.Event(), 0
     counting = threading.Lock()
@@ -181,11 +105,11 @@ def main(seeds: range, folder: Path, plan: Plan, jobs: int, stop_after: float, t
         nonlocal count
         try:
             while not stopped.is_set() and time.monotonic() - begun < stop_after and not waiting.empty():
-                child = children.get(number)
+                child = workers.get(number)
                 if child is None or not child.alive or child.done >= RENEWED:
                     if child is not None:
                         child.end()
-                    child = children[number] = Child(plan, number)
+                    child = workers[number] = plan.child(number)
                 try:
                     seed = waiting.get_nowait()
                 except queue.Empty:
@@ -201,7 +125,7 @@ def main(seeds: range, folder: Path, plan: Plan, jobs: int, stop_after: float, t
             problems.append(str(error))
 
     if missing:
-        children[0] = Child(plan, 0)  # compiles the kernels, for all
+        workers[0] = plan.child(0)  # compiles the kernels, for all
     threads = [threading.Thread(target=work, args=(number,), daemon=True) for number in range(min(jobs, len(missing)))]
     try:
         for thread in threads:
@@ -210,7 +134,7 @@ def main(seeds: range, folder: Path, plan: Plan, jobs: int, stop_after: float, t
             thread.join()
     finally:
         stopped.set()
-        for child in children.values():
+        for child in workers.values():
             child.end()
     records = read(folder)
     _write(folder / "family.json", json.dumps(records, default=float))

@@ -14,7 +14,7 @@ from lipac.scripts.studies import family
 # Does as a child process does, for scenes that nobody renders: 2 crashes, 3 hangs, 4 says something odd first, 5 raises; the others are done.
 FAKE = """
 import json, os, sys, time
-say = lambda what: print("lipac-family " + json.dumps(what), flush=True)
+say = lambda what: print("lipac-child " + json.dumps(what), flush=True)
 say({"ready": True})
 change = {"mean": {"low": 0.0, "value": 0.01, "high": 0.02}, "worst": {"low": 0.0, "value": 0.1, "high": 0.2}}
 for line in sys.stdin:
