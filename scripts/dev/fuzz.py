@@ -1,6 +1,7 @@
 """`python -m lipac.scripts.dev.fuzz`: random scenes by seed, and what failed, into a JSON file. From a checkout, for developers.
 
-Of kind "render", files with what people's files have in them are rendered by child processes, which may crash and hang; a page, FILE.md, is written as well.
+Of kind "render", files with what people's files have in them are rendered; of kind "faults", work ends at a random moment: both by child processes, which may
+crash and hang; a page, FILE.md, is written as well.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ RENEWED = 25  # scenes after which a process is replaced by a new one
 def main(argv: Sequence[str]) -> int:
     """Write the record; exit status 1 where a scene failed."""
     parser = argparse.ArgumentParser(prog="fuzz", description="Check random scenes by seed; the record keeps the seeds that failed.")
-    kinds = "scenes of arrays, scenes built in Blender, damaged files, files of many features through lipac render"
-    parser.add_argument("kind", choices=("core", "blender", "files", "render"), help=kinds)
+    kinds = "scenes of arrays, scenes built in Blender, damaged files, files of many features through lipac render, work that ends at a random moment"
+    parser.add_argument("kind", choices=("core", "blender", "files", "render", "faults"), help=kinds)
     parser.add_argument("--scenes", type=int, default=1000, metavar="N")
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="record, continued where it exists")
@@ -66,7 +67,7 @@ def write(path: Path, record: dict[str, Any]) -> None:
 
 @contextmanager
 def checking(kind: str) -> Iterator[Callable[[int], dict[str, Any] | None]]:
-    """The check of one seed; of kind "render", its record."""
+    """The check of one seed; of kinds "render" and "faults", its record."""
     from ...tests.hard.choices import Seeded
 
     if kind == "core":
@@ -82,13 +83,13 @@ def checking(kind: str) -> Iterator[Callable[[int], dict[str, Any] | None]]:
 
         yield lambda seed: fuzz_files.check(Seeded(seed))
     else:
-        with rendering() as check:
+        with in_children(kind) as check:
             yield check
 
 
 @contextmanager
-def rendering(crops: int = 12, every: int = 1) -> Iterator[Callable[[int], dict[str, Any]]]:
-    """What does a seed of kind "render", in a process that is replaced when it ended, and now and then. Options as of `in_child`."""
+def in_children(kind: str, crops: int = 12, every: int = 1) -> Iterator[Callable[[int], dict[str, Any]]]:
+    """What does a seed, in a process that is replaced when it ended, and now and then. Options as of `in_child`."""
     from ...tests.hard.fuzz_render import drawn
 
     child: Child | None = None
@@ -99,10 +100,10 @@ def rendering(crops: int = 12, every: int = 1) -> Iterator[Callable[[int], dict[
             if child is not None:
                 child.end()
             try:
-                child = Child(COMMAND, {"crops": crops, "every": every}, 1, LIMIT)
+                child = Child(COMMAND, {"kind": kind, "crops": crops, "every": every}, 1, LIMIT)
             except RuntimeError as error:
                 raise SystemExit(f"fuzz: {error}") from error
-        return {"features": drawn(seed), **child.do(seed)}
+        return {"features": drawn(seed) if kind == "render" else [], **child.do(seed)}
 
     try:
         yield check
@@ -111,13 +112,17 @@ def rendering(crops: int = 12, every: int = 1) -> Iterator[Callable[[int], dict[
             child.end()
 
 
-def in_child(crops: int, every: int) -> None:
-    """What a child process of kind "render" does: every so many seeds it renders, verified in so many crops; the others it analyses alone."""
+def in_child(kind: str, crops: int, every: int) -> None:
+    """What a child process does. Of kind "render": every so many seeds it renders, verified in so many crops; the others it analyses alone."""
 
     def prepare() -> Callable[[int], dict[str, Any]]:
         from ...core.jit import kernel_cache
 
         kernel_cache.use()
+        if kind == "faults":
+            from ...tests.hard import fuzz_faults
+
+            return fuzz_faults.run
         from ...tests.hard import fuzz_render
 
         return lambda seed: fuzz_render.run(seed, verify=0 if seed % every else crops)
@@ -126,11 +131,11 @@ def in_child(crops: int, every: int) -> None:
 
 
 def page(record: dict[str, Any]) -> str:
-    """Markdown of a record of kind "render": what its scenes came to, by what is in them; all that is not as it should be; what was told."""
+    """Markdown of a record of kinds "render" and "faults": what came of them, by what is in them; all that is not as it should be; what was told."""
     scenes = record["scenes"]
     verdicts = ("held", "told", "refused", "failed")
     lines = [f"Seeds {record['first']:,} to {record['first'] + record['done'] - 1:,}, {seconds(scenes):.1f} s each (median).", ""]
-    lines += ["| in the file | scenes | " + " | ".join(verdicts) + " |", "|---|" + (1 + len(verdicts)) * "---:|"]
+    lines += ["| what | runs | " + " | ".join(verdicts) + " |", "|---|" + (1 + len(verdicts)) * "---:|"]
     for name in ("all", *sorted({name for scene in scenes for name in scene["features"]})):
         having = [scene for scene in scenes if name == "all" or name in scene["features"]]
         counted = Counter("failed" if "failed" in scene else scene["verdict"] for scene in having)

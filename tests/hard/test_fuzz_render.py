@@ -23,7 +23,7 @@ EVERY = 5  # one of so many is rendered and verified, the others are analysed
 @pytest.fixture(scope="module")
 def check() -> Iterator[Callable[[range], list[dict[str, Any]]]]:
     """The records of some seeds, by two processes at a time: most of what they do, Blender does by one thread."""
-    with fuzz.rendering(1, EVERY) as a, fuzz.rendering(1, EVERY) as b, ThreadPoolExecutor(2) as pool:
+    with fuzz.in_children("render", 1, EVERY) as a, fuzz.in_children("render", 1, EVERY) as b, ThreadPoolExecutor(2) as pool:
 
         def of(seeds: range) -> list[dict[str, Any]]:
             halves = pool.map(lambda do, part: [do(seed) for seed in part], (a, b), (seeds[::2], seeds[1::2]))
