@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -19,8 +18,10 @@ from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import Certificate, Verdict
 from .heuristics import heuristic
-from .loop import CullingResult, Loop, Measurement
+from .loop import Loop
+from .measurement import Measurement
 from .options import CullOptions
+from .result import CullingResult
 
 PRICELESS = 50.0  # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with more than that
 ATTEMPTS = 3  # at a certificate, each with twice the paths of the one before
@@ -41,12 +42,13 @@ def decide(loop: Loop, progress: Progress = silent) -> CullingResult:
     scene, options = loop.scene, loop.options
     if options.policy != "light-paths":
         n = len(scene.instances)
-        loop.active = heuristic(scene, options) & loop.exists  # nothing else asks for what stays of the last frame
-        return loop.result(loop.active, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
-    loop.run(part(progress, 0.0, 0.7, "light paths ask for geometry, "))
+        keep = heuristic(scene, options) & loop.activation.exists
+        loop.activation.activate_alone(keep)
+        return loop.result(keep, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
+    measured = loop.run(part(progress, 0.0, 0.7, "light paths ask for geometry, "))
     if options.min_share is not None:
-        return by_counts(loop, options.min_share)
-    return by_budget(loop, options.max_error, part(progress, 0.7, 1.0, "calibrating, "))
+        return by_counts(loop, measured, options.min_share)
+    return by_budget(loop, measured, options.max_error, part(progress, 0.7, 1.0, "calibrating, "))
 
 
 def reaches(met: np.ndarray, paths: int, share: np.ndarray | float) -> np.ndarray:
@@ -57,17 +59,16 @@ def reaches(met: np.ndarray, paths: int, share: np.ndarray | float) -> np.ndarra
     return np.asarray((met > 0) & (met / max(paths, 1) >= share))
 
 
-def by_counts(loop: Loop, min_share: float) -> CullingResult:
+def by_counts(loop: Loop, measured: Measurement, min_share: float) -> CullingResult:
     """Keep what at least min_share of the paths meet; the score is that share.
 
     Which share of the light is not known, for it passes boxes that too few paths asked for, is reported (`unknown_mean`, `unknown_worst`).
 
     Hysteresis over frames: what the last frame kept stays while it is met by min_share / options.hysteresis of them.
     """
-    measured = loop.measured or loop.measure()
     feedback, met = measured.feedback, measured.met
-    share = np.where(loop.kept, min_share / loop.options.hysteresis, min_share)
-    keep = loop.pinned | (loop.active & reaches(met, feedback.paths, share))
+    share = np.where(loop.activation.kept, min_share / loop.options.hysteresis, min_share)
+    keep = loop.activation.pinned | (loop.activation.active & reaches(met, feedback.paths, share))
     figures: dict[str, float | int] = {}
     if loop.options.max_iterations > 1:  # else in real time, where each path counts
         unknown = loop.unknown(measured.samples, 1)
@@ -75,7 +76,7 @@ def by_counts(loop: Loop, min_share: float) -> CullingResult:
     return loop.result(keep, (met / max(feedback.paths, 1)).astype(np.float32), feedback.hits, (), **figures)
 
 
-def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> CullingResult:
+def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progress = silent) -> CullingResult:
     """Cull what saves most while the picture surely changes by no more than the budget; the score is the share of the picture that an instance is worth.
 
     What each instance is worth alone does not say what many are worth together, nor what lies behind them: `calibration` traces without them and finds out.
@@ -85,11 +86,10 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
     Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that uses up the budget or all but a factor of
     options.hysteresis; else what it kept goes only where others would save so many times less for the same change.
     """
-    measured = loop.measured or loop.measure()
     samples, attempts = max(loop.samples - loop.first_samples, 1), 1 if loop.limited else ATTEMPTS
     for attempt in range(attempts):
         within = part(progress, attempt / attempts, (attempt + 1) / attempts)
-        loop.measured, ids = measured, measured.tlas.ids
+        ids = measured.tlas.ids
         units, steps, searched = _searched(loop, measured, budget, part(within, 0.0, 0.5))
 
         def keep_of(cull: np.ndarray, units: Units = units, ids: I32 = ids) -> np.ndarray:
@@ -100,7 +100,7 @@ def by_budget(loop: Loop, budget: Budget, progress: Progress = silent) -> Cullin
         fruitless = verdict.cull is None or (attempt == 0 and len(steps) > 1 and not verdict.cull.any())
         if not fruitless or attempt == attempts - 1:
             break
-        measured, samples = loop.measure_more(measured, part(within, 0.9, 1.0)), measured.samples
+        measured, samples = loop.measure(None, 2 * measured.samples, part(within, 0.9, 1.0)), measured.samples
     return _decided(loop, measured, units, steps, verdict, searched)
 
 
@@ -116,10 +116,10 @@ def _decided(loop: Loop, measured: Measurement, units: Units, steps: list[Choice
                 f"{100 * estimate.upper_mean(verdict.confidence):.2g} % in the mean, {100 * estimate.upper_worst(verdict.confidence):.2g} % in the worst tile"
             )
         else:
-            keep, estimate, unknown = loop.exists.copy(), NOTHING, np.zeros(TILES)
+            keep, estimate, unknown = loop.activation.exists.copy(), NOTHING, np.zeros(TILES)
             warnings.append("the error budget could not be certified: everything is kept")
     ids, worth = measured.tlas.ids, measured.weights.relative()
-    score = np.zeros(len(loop.active), np.float32)
+    score = np.zeros(len(loop.activation), np.float32)
     score[ids] = worth.mean(axis=1)
     predicted = units.worth[cull].sum(axis=0)
     chosen = max((step for step in steps if not (step.cull & ~cull).any()), key=lambda step: step.cull.sum(), default=steps[0])
@@ -141,22 +141,21 @@ def _decided(loop: Loop, measured: Measurement, units: Units, steps: list[Choice
 
 def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progress) -> tuple[Units, list[Choice], int]:
     """Units of what was measured and of what was not met, sets of them that keep to the budget by the paths of the measurement, and how many were traced."""
-    start = time.perf_counter()
     ids = measured.tlas.ids
-    reluctance = np.where(loop.kept[ids], loop.options.hysteresis, 1.0)
-    savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.counted_bytes, reluctance)
-    worth = measured.weights.relative()
-    must = loop.pinned.copy()
-    must[ids[(worth > PRICELESS).any(axis=1)]] = True
-    units = units_of(loop.regions, ids, measured.log.paths_met(len(ids)), worth, must)
-    reference = Reference(measured.log, light=_light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64)))
-    log, trial = measured.log.copy(), PathLog.zeros(*measured.log.shape)
-    loop.timer.add("feedback_s", start)
+    with loop.timer.step("feedback_s"):
+        reluctance = np.where(loop.activation.kept[ids], loop.options.hysteresis, 1.0)
+        savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.counted_bytes, reluctance)
+        worth = measured.weights.relative()
+        must = loop.activation.pinned.copy()
+        must[ids[(worth > PRICELESS).any(axis=1)]] = True
+        units = units_of(loop.activation.regions, ids, measured.log.paths_met(len(ids)), worth, must)
+        reference = Reference(measured.log, light=_light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64)))
+        log, trial = measured.log.copy(), PathLog.zeros(*measured.log.shape)
 
     def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
-        keep = np.zeros(len(loop.active), bool)
+        keep = np.zeros(len(loop.activation), bool)
         keep[ids[~cull]] = True
-        loop.trace_without(measured.tlas, measured.first_sample, keep, only, trial)
+        loop.tracer.trace_without(measured.tlas, measured.first_sample, keep, only, trial)
         return trial
 
     search = Search(reference, log, without, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
@@ -166,19 +165,19 @@ def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
 
 def _kept(loop: Loop, units: Units, cull: np.ndarray, ids: I32) -> np.ndarray:
     """(N,) bool, the instances that stay where the units of cull, (U,) bool, do not. ids: of the TLAS entries."""
-    keep = np.zeros(len(loop.active), bool)
-    keep[units.unmet_kept(cull, loop.regions)] = True
+    keep = np.zeros(len(loop.activation), bool)
+    keep[units.unmet_kept(cull, loop.activation.regions)] = True
     keep[ids] = ~units.entries(cull)
-    return np.asarray(keep | loop.pinned)
+    return np.asarray(keep | loop.activation.pinned)
 
 
 def _culled_before(loop: Loop, units: Units, ids: I32) -> np.ndarray | None:
     """(U,) bool, units of which the last frame kept nothing; None where it measured nothing."""
-    if loop.known is None:
+    if loop.activation.known is None:
         return None
     before = np.ones(len(units), bool)
-    before[units.of_entry[~loop.known[ids] | loop.kept[ids]]] = False
-    places = loop.regions.place[np.setdiff1d(np.flatnonzero(loop.kept), ids)]
+    before[units.of_entry[~loop.activation.known[ids] | loop.activation.kept[ids]]] = False
+    places = loop.activation.regions.place[np.setdiff1d(np.flatnonzero(loop.activation.kept), ids)]
     pools = units.pool_of[places[places >= 0] // FANOUT]
     before[units.with_entries + pools] = False
     return before

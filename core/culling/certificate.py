@@ -21,7 +21,8 @@ from ..error_budget.units import Units
 from ..feedback.path_log import PathLog
 from ..feedback.tiles import TILES, tiles_of
 from ..progress import Progress, part, silent
-from .loop import Loop, Witness
+from .loop import Loop
+from .measurement import Witness
 
 LOOKS = 10  # in all, each doubles the paths of the tiles in doubt
 DENSEST = 16  # times the paths of a first look, in a tile at most
@@ -168,7 +169,7 @@ class _Layer:
         count = int(np.count_nonzero(self._changed))
         self.proposed = self._accepted
         if count:
-            loop.trace_without(self.witness.tlas, self.witness.first_sample, keep, self._changed, self._trial)
+            loop.tracer.trace_without(self.witness.tlas, self.witness.first_sample, keep, self._changed, self._trial)
             self.proposed = self.reference.compare(self._changed, self._trial.color, self._log, self._accepted)
         return count
 

@@ -38,7 +38,7 @@ class CullOptions:
     solid_angle: degrees that an instance's bounding sphere must span; for `solid-angle`.
     max_error: `light-paths`: how much the picture may change. min_share: `light-paths` by plain counts instead: an instance stays if at least this share of the
     paths meets it. paths: per pixel, for the measurement of both; 0: as many as the bounds need.
-    width: of the analysis picture in pixels (its height follows the film). nearest: boxes of a ray that are counted at a cold start;
+    width: of the analysis picture in pixels (its height follows the film).
     hitbox_every: on one path in so many. settled: segments per path that may still ask for a box when the rounds of a frame end, 0: none;
     max_iterations: rounds of a frame at most.
 
@@ -55,7 +55,6 @@ class CullOptions:
     min_share: float | None = None
     paths: int = 0
     width: int = 240
-    nearest: int = 4
     hitbox_every: int = 1
     settled: float = 0.02
     max_iterations: int = 64

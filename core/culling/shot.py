@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -13,8 +12,9 @@ from ..progress import Progress, silent
 from ..scene.change import Change
 from ..scene.model import Scene
 from .analysis import decide
-from .loop import CullingResult, Loop
+from .loop import Loop
 from .options import CullOptions
+from .result import CullingResult
 
 
 class Shot:
@@ -28,7 +28,7 @@ class Shot:
     what paths do not ask for, is freed; geometry is read from `Scene.meshes` only where it is needed, on the calling thread.
 
     Independent frames: each decides as a fresh start of it, bit for bit, whatever frames came before, so that a range can be split, repeated and completed.
-    What was built for the frame before and did not change is not built again; but what deformed is built anew, for a refitted BLAS is another one.
+    What was built for the frame before and did not change is not built again; but what deformed is built anew, for refit and rebuild give different trees.
 
     loop: the loop of the last frame, None before the first.
     """
@@ -61,8 +61,7 @@ class Shot:
             loop = Loop(scene, self.options, cancelled, self.device, pinned)
         elif self.independent:
             blas = self._carried(loop.blas, scene, change)
-            loop = Loop(scene, self.options, cancelled, self.device, pinned)
-            loop.blas, loop.prepared = blas, dataclasses.replace(loop.prepared, blas=blas)
+            loop = Loop(scene, self.options, cancelled, self.device, pinned, blas)
         else:
             loop.advance(scene, change, cancelled, pinned)
         result = decide(loop, progress)

@@ -118,7 +118,7 @@ class Evaluation:
 
     def measure(self, policy: str, setting: float, keep: np.ndarray, **figures: float) -> Row:
         """Judge a set, as one more row; equal sets are judged once."""
-        keep = keep & self.judge.loop.exists
+        keep = keep & self.judge.loop.activation.exists
         measured, arrays = self._judged(keep)
         row: Row = {"policy": policy, "setting": float(setting), "instances": len(keep), **measured, **figures}
         self.rows.append(row)

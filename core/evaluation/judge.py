@@ -47,15 +47,15 @@ class Judge:
         self.loop = Loop(scene, CullOptions(width=scene.film.width, seed=SEED, threads=threads), cancelled)
         self.samples = samples
         self.mesh_seconds = np.zeros(len(scene.meshes))
-        for mesh in np.unique(scene.instances.mesh[self.loop.exists]):
+        for mesh in np.unique(scene.instances.mesh[self.loop.activation.exists]):
             start = time.perf_counter()
             self.loop.blas.need(np.array([mesh]))
             self.mesh_seconds[mesh] = time.perf_counter() - start
-        self.tlas = self.loop.build(self.loop.exists)
-        self.first_sample = self.loop.next_sample
+        self.tlas = self.loop.tracer.build(self.loop.activation.exists)
+        self.first_sample = self.loop.tracer.next_sample
         self.log = PathLog.zeros(scene.film.height, scene.film.width, samples)
-        self.full = self.loop.trace(self.tlas, samples, progress=part(progress, 0.0, 0.5, "full picture, "), log=self.log)[1]
-        self.second_seed = self.loop.trace(self.tlas, samples, progress=part(progress, 0.5, 1.0, "with another seed, "))[1]
+        self.full = self.loop.tracer.trace(self.tlas, samples, progress=part(progress, 0.0, 0.5, "full picture, "), log=self.log)[1]
+        self.second_seed = self.loop.tracer.trace(self.tlas, samples, progress=part(progress, 0.5, 1.0, "with another seed, "))[1]
         self.reference = Reference(self.log)
         self.light = Light.of(self.reference)
 
@@ -66,13 +66,13 @@ class Judge:
     def change(self, keep: np.ndarray) -> ErrorEstimate:
         """Change by culling to keep (N,) bool."""
         only = self._affected(keep)
-        _, color = self.loop.trace_paths(keep, self.first_sample, only)
+        _, color = self.loop.tracer.trace_paths(keep, self.first_sample, only)
         return self.light.estimate(self.reference.compare(only, color, self.log, self.reference.nothing))
 
     def picture(self, keep: np.ndarray) -> F32:
         """The picture with only keep (N,) bool in the scene, (H, W, 4) float32: the full one, with what has changed in it exchanged."""
         only = self._affected(keep)
-        before, after = (self.loop.trace_paths(which, self.first_sample, only)[0] for which in (self.loop.exists, keep))
+        before, after = (self.loop.tracer.trace_paths(which, self.first_sample, only)[0] for which in (self.loop.activation.exists, keep))
         return np.asarray(self.full + (after - before), np.float32)
 
     def measure(self, keep: np.ndarray) -> tuple[dict[str, float], F32]:
@@ -80,7 +80,7 @@ class Judge:
         change, culled = self.change(keep), self.picture(keep)
         cost = self.cost(keep)
         start = time.perf_counter()
-        self.loop.trace_again(keep, self.first_sample, TIMED)
+        self.loop.tracer.trace_again(keep, self.first_sample, TIMED)
         cost["trace_s"] = time.perf_counter() - start
         half = TWO_SIDED_95 * change.mean_deviation, TWO_SIDED_95 * change.worst_deviation
         error = {"mean": change.mean, "mean_ci": half[0], "worst": change.worst, "worst_ci": half[1]}
@@ -94,9 +94,9 @@ class Judge:
 
     def cost(self, keep: np.ndarray) -> dict[str, float]:
         """What keep (N,) bool takes: counts, Embree's bytes, seconds to build BLASes and TLAS."""
-        meshes = np.unique(self.scene.instances.mesh[keep & self.loop.exists])
+        meshes = np.unique(self.scene.instances.mesh[keep & self.loop.activation.exists])
         start = time.perf_counter()
-        tlas = self.loop.build(keep)
+        tlas = self.loop.tracer.build(keep)
         return {
             "active": int(keep.sum()),
             "meshes": len(meshes),
@@ -109,5 +109,5 @@ class Judge:
     def exhaustive_weights(self, samples: int, progress: Progress = silent) -> tuple[F64, I32]:
         """What each instance is worth with the whole scene active, from paths that the judge does not use: (A, T) float64, and ids (A,) int32."""
         weights = Weights.zeros(len(self.tlas), float(tile_means(self.full).mean()))
-        self.loop.trace(self.tlas, samples, weights=weights, progress=progress)
+        self.loop.tracer.trace(self.tlas, samples, weights=weights, progress=progress)
         return weights.relative(), self.tlas.ids

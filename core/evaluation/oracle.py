@@ -47,7 +47,7 @@ def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterab
         return keep
 
     def without(cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
-        judge.loop.trace_without(judge.tlas, judge.first_sample, kept(cull), only, trial)
+        judge.loop.tracer.trace_without(judge.tlas, judge.first_sample, kept(cull), only, trial)
         return trial
 
     def thinned_out(first: np.ndarray | None, progress: Progress) -> np.ndarray:

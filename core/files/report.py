@@ -220,7 +220,7 @@ class States:
 def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, names: Sequence[str], note: str = "", boxes: F64 | None = None) -> None:
     """Write the states of a frame (states/frame_0001.npz).
 
-    state (N,), score (N,), hits (N, RAY_TYPES), as in `core.culling.loop.CullingResult`; key_kind, key_host, key_object (N,) and key_path (N, depth) are the
+    state (N,), score (N,), hits (N, RAY_TYPES), as in `core.culling.result.CullingResult`; key_kind, key_host, key_object (N,) and key_path (N, depth) are the
     fields of `lipac_addon.keys.KEY`, the path without the columns that no instance uses; names: strings that host and object index, those that are used,
     sorted, so that a frame's file is the same whatever other frames were looked at. Integers have the smallest type that holds them. note: a text to keep
     with it.

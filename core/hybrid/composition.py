@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from ..accel.region_tree import spatial_order
 from ..arrays import F32, F64
-from ..culling.loop import CullingResult, Loop
+from ..culling.loop import Loop
 from ..culling.options import CullOptions
+from ..culling.result import CullingResult
 from ..errors import InputError
 from ..scene.bounds import enclosing, existing
 from ..scene.film import LUMINANCE, Picture
@@ -75,10 +76,8 @@ def reference(scene: Scene, options: CullOptions, cancelled: Callable[[], bool])
     """Luminance (h, w) float32 of the picture with nothing culled that light paths ask for, of the size of an analysis by these options; by other random
     numbers than theirs, so that its noise is not the picture's. Raises Cancelled."""
     whole = dataclasses.replace(options, policy="light-paths", min_share=None, blas_budget_bytes=0, blas_budget_ms=0.0, seed=options.seed ^ 1)
-    loop = Loop(scene, whole, cancelled)
-    loop.run()
-    assert loop.measured is not None
-    return (loop.measured.log.luminance.mean(axis=2) * np.float32(scene.film.exposure)).astype(np.float32)
+    measured = Loop(scene, whole, cancelled).run()
+    return (measured.log.luminance.mean(axis=2) * np.float32(scene.film.exposure)).astype(np.float32)
 
 
 def share_of_paths(truth: F32, picture: F32, raster: F32) -> float:

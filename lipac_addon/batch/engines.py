@@ -23,7 +23,7 @@ from ..depsgraph import changed, rendered_layers
 from ..pictures import save_pixels, save_render_result, saved_as
 
 if TYPE_CHECKING:
-    from ...core.accel.blas import BlasCache
+    from ...core.culling.result import Built
 
 BLENDER_ENGINES = {"cycles": "CYCLES", "eevee": "BLENDER_EEVEE"}
 ENGINES = (*BLENDER_ENGINES, "hybrid", "path")
@@ -99,24 +99,27 @@ def render_path(
     threads: int = 0,
     progress: Progress = silent,
     cancelled: Callable[[], bool] | None = None,
-    blas: BlasCache | None = None,
+    built: Built | None = None,
 ) -> float:
     """Render the active instances, (N,) bool, of a core scene by the path tracer, save stem.exr and stem.png, and return the seconds, building included.
 
-    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png. blas: of the scene's meshes, what is built already.
+    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png. built: the structures of the active instances, where they
+    are there.
     Raises Cancelled, and saves nothing, where cancelled() says so.
     """
     from ...core.accel.blas import BlasCache
     from ...core.accel.embree import shared_device
     from ...core.accel.tlas import Tlas
+    from ...core.culling.result import Built
     from ...core.tracing.tracer import prepare, trace
 
     blender_scene = bpy.context.scene
     start = time.perf_counter()
-    blas = BlasCache(scene.meshes, shared_device(threads)) if blas is None else blas
-    prepared = prepare(scene, blas).with_emitters(active)
-    blas.need(scene.instances.mesh[active])
-    tlas = Tlas(scene.instances, blas, active)
+    if built is None:
+        blas = BlasCache(scene.meshes, shared_device(threads))
+        blas.need(scene.instances.mesh[active])
+        built = Built(blas, Tlas(scene.instances, blas, active), prepare(scene, blas))
+    prepared, tlas = built.prepared.with_emitters(active), built.tlas
     picture = trace(prepared, tlas, samples or samples_of(blender_scene, "path"), seed=seed, threads=threads, progress=progress, cancelled=cancelled)
     if cancelled is not None and cancelled():
         raise Cancelled

@@ -32,8 +32,7 @@ from ..raster.passes import Passes, render_passes
 from ..timeline import Timeline
 
 if TYPE_CHECKING:
-    from ...core.accel.blas import BlasCache
-    from ...core.culling.loop import CullingResult
+    from ...core.culling.result import CullingResult
     from ...core.hybrid.composition import Light
     from ...core.scene.film import Picture
     from ...core.scene.model import FirstHitBuffer
@@ -63,12 +62,10 @@ def render_hybrid(
     progress: Progress = silent,
     cancelled: Callable[[], bool] = lambda: False,
     decide: Callable[[Scene], CullingResult] | None = None,
-    built: Callable[[], BlasCache | None] = lambda: None,
 ) -> tuple[CullingResult, dict[str, Any]]:
     """Cull and render the current frame of the open file; save stem.exr, stem.png and stem_layers.exr. Returns what was decided, and figures for the report.
 
     scene: the frame, extracted. samples: paths per pixel. decide: what culls, on a worker thread; the default analyses this frame by itself.
-    built: asked for after that, what it has built of the scene's meshes.
     Raises InputError where it cannot be rendered, Cancelled where cancelled() says so.
     """
     from ...core.culling.analysis import analyze
@@ -83,7 +80,7 @@ def render_hybrid(
         hits = first_hits(composition.with_mode(scene, options.gi), options.primary, threads)
     scene = dataclasses.replace(hits.scene, meshes=hits.meshes)
     choose = decide or (lambda s: analyze(s, cull, part(progress, 0.0, 0.3), cancelled))
-    tracing = _Tracing(scene, samples, seed, threads, part(progress, 0.3, 0.95), cancelled, line, built)
+    tracing = _Tracing(scene, samples, seed, threads, part(progress, 0.3, 0.95), cancelled, line)
     passes = _draw(hits, tracing, choose, _sizes(scene, cull), options, line)
     del hits  # and what it has built
     if cancelled():
@@ -195,9 +192,7 @@ class _Tracing:
         progress: Progress,
         cancelled: Callable[[], bool],
         line: Timeline,
-        built: Callable[[], BlasCache | None],
     ) -> None:
-        self._built = built
         self.scene, self.seed, self.threads, self.progress, self.line = scene, seed, threads, progress, line
         self.size, self.passes = (scene.film.width, scene.film.height), min(samples, MOST_PASSES)
         self._cancelled, self._failed = cancelled, False
@@ -220,23 +215,18 @@ class _Tracing:
 
     def decide(self, choose: Callable[[], CullingResult]) -> None:
         """What is kept, and its structures."""
-        from ...core.accel.blas import BlasCache
         from ...core.accel.embree import shared_device
         from ...core.accel.hitboxes import Hitboxes
-        from ...core.accel.tlas import Tlas
         from ...core.hybrid.composition import boxes_before_lamps
-        from ...core.tracing.tracer import prepare
 
         with self.stopping():
             with self.line.stage("analysis", "worker"):
                 result = choose()
             with self.line.stage("building", "worker"):
                 device, active = shared_device(self.threads), result.active
-                found = self._built()
-                blas = BlasCache(self.scene.meshes, device) if found is None else found
-                blas.need(self.scene.instances.mesh[active])
-                self._tlas = Tlas(self.scene.instances, blas, active)
-                self._prepared = prepare(self.scene, blas).with_emitters(active)
+                assert result.built is not None
+                self._tlas = result.built.tlas
+                self._prepared = result.built.prepared.with_emitters(active)
                 instances = self.scene.instances
                 blocks = ~active & (instances.flags & (1 << RayType.SHADOW) != 0)
                 self._boxes = Hitboxes(boxes_before_lamps(instances.bounds, blocks), device)

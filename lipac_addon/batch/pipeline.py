@@ -37,8 +37,7 @@ from .hybrid_frame import HybridOptions, render_hybrid
 from .shot_set import ShotSet
 
 if TYPE_CHECKING:
-    from ...core.accel.blas import BlasCache
-    from ...core.culling.loop import CullingResult
+    from ...core.culling.result import CullingResult
     from ...core.culling.shot import Shot
     from .verify import Verified
 
@@ -226,15 +225,10 @@ class Session:
             self._shot = Shot(self.job.options, independent=not self.job.warm)
         return self._shot.advance(scene or extraction.scene, extraction.change, progress, cancelled, self._pinned)
 
-    @property
-    def blas(self) -> BlasCache | None:
-        """What the last decision has built, of the meshes of the frame that was extracted last."""
-        return None if self._shot is None or self._shot.loop is None else self._shot.loop.blas
-
 
 def _by_rule(scene: Scene, options: CullOptions, pinned: np.ndarray | None) -> CullingResult:
     """What a policy without light paths keeps, and pinned, (N,) bool. No mesh need be read for it: the engine builds its own structures."""
-    from ...core.culling.loop import CullingResult
+    from ...core.culling.result import CullingResult
 
     start = time.perf_counter()
     keep = heuristic(scene, options) & existing(scene.instances.bounds)
@@ -312,6 +306,7 @@ def decide_layers(sessions: Sequence[Session], frame: int, last: bool, progress:
         if not session.job.engine:
             entry |= _verified(session.job, extraction.scene, result.active, silent, cancelled)
         parts.append(_decided(extraction, result, entry))
+        del result  # and what it has built
         if last:
             session.forget()
     if not parts and not shown:
@@ -453,18 +448,17 @@ def _by_ours(session: Session, frame: int, progress: Progress, cancelled: Cancel
         def choose(scene: Scene) -> CullingResult:
             return session.decide(extraction, scene, part(progress, 0.0, 0.3), cancelled)
 
-        result = _hybrid(job, extraction, entry, progress, cancelled, choose, lambda: session.blas)
+        result = _hybrid(job, extraction, entry, progress, cancelled, choose)
     else:
         result = session.decide(extraction, None, part(progress, 0.0, ANALYSIS_SHARE), cancelled)
         check(cancelled)
-    blas = session.blas
     if last:
         session.forget()
     decided = _decided(extraction, result, entry)
     decided.save(job.states(frame))
     if job.engine == "path":
         entry, scene, rest = decided.entry, extraction.scene, part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
-        entry["render_s"] = render_path(scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled, blas)
+        entry["render_s"] = render_path(scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled, result.built)
         entry |= _verified(job, scene, result.active, rest, cancelled)
     return decided
 
@@ -491,12 +485,11 @@ def _hybrid(
     progress: Progress,
     cancelled: Cancel,
     decide: Callable[[Scene], CullingResult],
-    built: Callable[[], BlasCache | None] = lambda: None,
 ) -> CullingResult:
-    """Render a frame by the hybrid renderer; its figures go into the entry. decide, built: as of `render_hybrid`."""
+    """Render a frame by the hybrid renderer; its figures go into the entry. decide: as of `render_hybrid`."""
     samples = job.samples or samples_of(bpy.context.scene, job.engine)
     stem = job.stem(entry["frame"])
-    result, figures = render_hybrid(extraction.scene, job.hybrid, job.options, stem, samples, job.seed, job.threads, progress, cancelled, decide, built)
+    result, figures = render_hybrid(extraction.scene, job.hybrid, job.options, stem, samples, job.seed, job.threads, progress, cancelled, decide)
     entry |= result.stats | figures
     return result
 

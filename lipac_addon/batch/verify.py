@@ -116,7 +116,7 @@ def _path_crops(
     only = np.zeros((height, width, min(samples, PATH_SAMPLES)), np.uint8)
     for place in places:
         only[place] = 1
-    full, culled = (loop.trace_paths(keep, 0, only)[0] for keep in (loop.exists, active & loop.exists))
+    full, culled = (loop.tracer.trace_paths(keep, 0, only)[0] for keep in (loop.activation.exists, active & loop.activation.exists))
     return [full[place] for place in places], [culled[place] for place in places]
 
 

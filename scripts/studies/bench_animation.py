@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import time
 from collections.abc import Iterator
@@ -14,8 +15,10 @@ from numpy.typing import NDArray
 
 from ...core.accel.region_tree import Regions
 from ...core.arrays import F32
-from ...core.culling.loop import LARGE, CullingResult, Loop
+from ...core.culling.activation import LARGE
+from ...core.culling.loop import Loop
 from ...core.culling.options import CullOptions
+from ...core.culling.result import CullingResult
 from ...core.culling.shot import Shot
 from ...core.error_budget.budget import Budget
 from ...core.evaluation.judge import TWO_SIDED_95, Judge
@@ -214,9 +217,9 @@ def _fly(options: dict[str, CullOptions], independent: set[str] | frozenset[str]
             whole = Loop(scene, CullOptions(width=FLY_SIZE[0]))
         else:
             whole.advance(scene, change)
-        sample = whole.next_sample
-        feedback, picture = whole.trace(whole.build(whole.exists), FLY_SAMPLES)
-        view, regions = View.of(scene.camera), whole.regions
+        sample = whole.tracer.next_sample
+        feedback, picture = whole.tracer.trace(whole.tracer.build(whole.activation.exists), FLY_SAMPLES)
+        view, regions = View.of(scene.camera), whole.activation.regions
         in_view = _mask(regions, view, 0.0)
         direct.append(feedback.hits[:, RayType.CAMERA])
         reflected.append(np.where(in_view, 0, feedback.hits[:, RayType.GLOSSY]))
@@ -225,8 +228,8 @@ def _fly(options: dict[str, CullOptions], independent: set[str] | frozenset[str]
         for run in runs.values():
             result = run.shot.advance(scene, change)
             run.states.append(result.active)
-            run.rows.append(result)
-            run.pictures.append(whole.trace_again(result.active, sample, FLY_SAMPLES)[..., :3])
+            run.rows.append(dataclasses.replace(result, built=None))
+            run.pictures.append(whole.tracer.trace_again(result.active, sample, FLY_SAMPLES)[..., :3])
         if number % 20 == 0:
             print(f"  frame {number}", flush=True)
     paths = FLY_SIZE[0] * FLY_SIZE[1] * FLY_SAMPLES
@@ -324,8 +327,8 @@ class City:
             self.rows[k][name] = row | {"advance_s": time.perf_counter() - start}
             if name == "culled" and k == 0:
                 loop = one.loop
-                assert loop is not None and loop.measured is not None
-                asked, met = loop.measured.tlas.ids, loop.measured.met
+                assert loop is not None and loop.activation.known is not None
+                asked, met = np.flatnonzero(loop.activation.known), result.hits.sum(axis=1)
                 self.cold = {"asked": len(asked), "met": int((met[asked] > 0).sum()), "active": row["active"], "rounds": row["iterations"]}
                 self.cold |= {"meshes": len(loop.blas)}
 

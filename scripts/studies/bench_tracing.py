@@ -329,10 +329,9 @@ def feedback(_folder: Path) -> dict[str, Any]:
     from ...core.tracing.tracer import trace
 
     loop = Loop(_city(20_000), CullOptions())
-    loop.first_samples = loop.samples  # all that it may take
     loop.run()
-    tlas = loop.build(loop.active)
-    measured = loop.measure(tlas)
+    tlas = loop.tracer.build(loop.activation.active)
+    measured = loop.measure(tlas, loop.samples)  # all that it may take
     budget, mesh = loop.options.max_error, loop.scene.instances.mesh[tlas.ids]
 
     def timed(job: Callable[[], object]) -> Callable[[], float]:
@@ -346,13 +345,13 @@ def feedback(_folder: Path) -> dict[str, Any]:
     def decide() -> None:
         Reference(measured.log)
         selection = select(measured.weights.relative(), Savings.among(mesh, loop.blas.bytes_of).share, budget.mean, budget.worst)
-        keep = np.zeros(len(loop.active), bool)
+        keep = np.zeros(len(loop.activation.active), bool)
         keep[tlas.ids[~selection.cull]] = True
         loop.result(keep, np.zeros(len(keep), np.float32), measured.feedback.hits)
 
-    bare = timed(lambda: trace(loop.prepared, tlas, loop.samples, size=loop.size))
-    seconds = interleaved({"bare": bare, "measured": timed(lambda: loop.measure(tlas)), "deciding": timed(decide)}, 9)
-    return {"seconds": seconds, "paths": int(measured.feedback.paths), "instances": len(loop.active), "active": len(tlas)}
+    bare = timed(lambda: trace(loop.tracer.prepared, tlas, loop.samples, size=loop.size))
+    seconds = interleaved({"bare": bare, "measured": timed(lambda: loop.measure(tlas, loop.samples)), "deciding": timed(decide)}, 9)
+    return {"seconds": seconds, "paths": int(measured.feedback.paths), "instances": len(loop.activation.active), "active": len(tlas)}
 
 
 def compiling(folder: Path) -> dict[str, Any]:

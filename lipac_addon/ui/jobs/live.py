@@ -26,8 +26,8 @@ from .viewport import LiveWorld, NotedGraph
 
 if TYPE_CHECKING:
     from ....core.arrays import I64
-    from ....core.culling.loop import CullingResult
     from ....core.culling.options import CullOptions
+    from ....core.culling.result import CullingResult
     from ....core.culling.shot import Shot
     from ....core.scene.change import Change
     from ...extract import Extraction

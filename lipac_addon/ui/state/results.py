@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ....core.arrays import F32, F64, I64, U8
-    from ....core.culling.loop import CullingResult
+    from ....core.culling.result import CullingResult
     from ...extract import Extraction
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")

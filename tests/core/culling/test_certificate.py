@@ -82,7 +82,7 @@ def test_colours_of_equal_luminance_are_kept() -> None:
 
 def certified(loop: Loop, keeps: list[np.ndarray], budget: Budget, samples: int = 8) -> Verdict:
     """Of a sequence of sets, each unit an instance."""
-    n = len(loop.active)
+    n = len(loop.activation)
     units = Units.single(np.zeros((n, 144)))
     loop.include(keeps[0])
     return Certificate(loop, 0, samples, budget).walk([~keep for keep in keeps], units, lambda cull: ~cull)
@@ -95,7 +95,7 @@ def test_it_sees_what_was_never_built_and_agrees_with_brute_force() -> None:
     loop = Loop(scene, CullOptions(width=SIZE[0]))
     verdict = certified(loop, [keep], Budget(0.001, 0.005))
     truth = Judge(scene, 64).change(keep)
-    assert loop.active.sum() > 1000  # opened for these paths
+    assert loop.activation.active.sum() > 1000  # opened for these paths
     assert verdict.cull is None
     # 144 tiles: what is larger than 4.5 deviations comes once in a thousand runs. Changes are relative to the light of a tile, known to 6 % by 288 paths that
     # scatter as much as they bring.

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lipac.core.accel.blas import BlasCache
+from lipac.core.accel.tlas import Tlas
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.options import CullOptions, State
 from lipac.core.errors import Cancelled
 from lipac.core.scene import model as s
+from lipac.core.tracing.tracer import prepare, trace
 
 from .. import scenes
 
@@ -49,6 +52,21 @@ def stage() -> s.Scene:
 
 
 OPTIONS = CullOptions(width=160, paths=4, min_share=2e-5)
+
+
+def test_a_result_carries_what_it_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A renderer goes on with it: nothing is read or built again."""
+    scene = stage()
+    result = analyze(scene, OPTIONS)
+    assert result.built is not None
+    assert result.built.tlas.ids.tolist() == np.flatnonzero(result.active).tolist()
+    monkeypatch.setattr(BlasCache, "_build", lambda *_: pytest.fail("built again"))
+    picture = trace(result.built.prepared.with_emitters(result.active), result.built.tlas, 1)
+    blas = BlasCache(scene.meshes)
+    monkeypatch.undo()
+    blas.need(scene.instances.mesh[result.active])
+    anew = trace(prepare(scene, blas).with_emitters(result.active), Tlas(scene.instances, blas, result.active), 1)
+    assert picture.sums.tobytes() == anew.sums.tobytes()
 
 
 def test_what_the_picture_needs_is_active_and_nothing_else() -> None:

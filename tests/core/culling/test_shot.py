@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from lipac.core.accel.embree import Device
+from lipac.core.culling.activation import COLD_HITS
 from lipac.core.culling.analysis import analyze
-from lipac.core.culling.loop import COLD_HITS, CullingResult
 from lipac.core.culling.options import CullOptions, State
+from lipac.core.culling.result import CullingResult
 from lipac.core.culling.shot import Shot
 from lipac.core.error_budget.budget import Budget
 from lipac.core.scene import model as s
@@ -82,7 +83,7 @@ def assert_as_alone(shot: Shot, result: CullingResult, scene: s.Scene, options: 
     met, mine, theirs = alone.hits.sum(axis=1), shot.loop.measured.tlas.ids, fresh.loop.measured.tlas.ids
     lacking = np.concatenate([result.hits[np.setdiff1d(mine, theirs)].sum(axis=1), alone.hits[np.setdiff1d(theirs, mine)].sum(axis=1)])
     assert lacking.max(initial=0) < 6 * COLD_HITS
-    same_emitters = not np.isin(np.setxor1d(mine, theirs), fresh.loop.prepared.emissive).any()
+    same_emitters = not np.isin(np.setxor1d(mine, theirs), fresh.loop.tracer.prepared.emissive).any()
     kinds = slice(None) if same_emitters else slice(s.RayType.SHADOW)
     of_a_path = 2 * (scene.limits.total + 1)  # a hit and a shadow ray at every bounce
     other, a, b = (result.hits - alone.hits)[:, kinds], shot.loop.measured.log.luminance, fresh.loop.measured.log.luminance

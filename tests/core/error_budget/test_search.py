@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lipac.core.culling.loop import Loop, Measurement
+from lipac.core.culling.loop import Loop
+from lipac.core.culling.measurement import Measurement
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget, Savings
 from lipac.core.error_budget.error_estimate import Light, Reference
@@ -30,7 +31,7 @@ def measured() -> tuple[Loop, Measurement]:
 
 def cull_some(loop: Loop, m: Measurement, seed: int) -> tuple[np.ndarray, np.ndarray]:
     cull = np.random.default_rng(seed).random(len(m.tlas.ids)) < 0.4
-    keep = np.zeros(len(loop.active), bool)
+    keep = np.zeros(len(loop.activation), bool)
     keep[m.tlas.ids[~cull]] = True
     return cull, keep
 
@@ -42,9 +43,9 @@ def test_paths_that_met_nothing_culled_do_not_change(measured: tuple[Loop, Measu
     cull, keep = cull_some(loop, m, seed)
     only = m.log.affected(cull)
     assert 0 < only.mean() < 1
-    everything = loop.trace_paths(keep, m.first_sample, np.ones_like(only))[1]
+    everything = loop.tracer.trace_paths(keep, m.first_sample, np.ones_like(only))[1]
     np.testing.assert_array_equal(everything[only == 0], m.log.color[only == 0])
-    np.testing.assert_array_equal(loop.trace_paths(keep, m.first_sample, only)[1][only == 1], everything[only == 1])
+    np.testing.assert_array_equal(loop.tracer.trace_paths(keep, m.first_sample, only)[1][only == 1], everything[only == 1])
     assert (everything[only == 1] != m.log.color[only == 1]).any()
 
 
@@ -68,15 +69,15 @@ def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
     for seed in range(3):
         more, _ = cull_some(loop, m, seed)
         only = log.affected(more & ~culled)
-        keep = np.zeros(len(loop.active), bool)
+        keep = np.zeros(len(loop.activation), bool)
         keep[m.tlas.ids[~(culled | more)]] = True
         assert 0 < only.mean() < 1
-        loop.trace_without(m.tlas, m.first_sample, keep, only, after)
+        loop.tracer.trace_without(m.tlas, m.first_sample, keep, only, after)
         difference = reference.compare(only, after.color, log, difference)
         log.update(only, after)
         culled |= more
         everything = PathLog.zeros(*only.shape)
-        loop.trace_without(m.tlas, m.first_sample, keep, np.ones_like(only), everything)
+        loop.tracer.trace_without(m.tlas, m.first_sample, keep, np.ones_like(only), everything)
         np.testing.assert_array_equal(log.color, everything.color)
         entries = np.arange(RECORD) <= np.minimum(log.records[..., :1], RECORD - 1)  # what is behind them is nobody's
         np.testing.assert_array_equal(np.where(entries, log.records, 0), np.where(entries, everything.records, 0))

@@ -59,7 +59,7 @@ def test_pairing_removes_noise(judge: Judge) -> None:
 def test_the_culled_picture_is_that_of_a_whole_trace(judge: Judge) -> None:
     """Only paths that met something culled are traced again; the rest of the picture is the full one's. Tolerance: float32 sums in another order."""
     keep = without(SEEN)
-    whole = judge.loop.trace_again(keep, judge.first_sample, judge.samples)
+    whole = judge.loop.tracer.trace_again(keep, judge.first_sample, judge.samples)
     np.testing.assert_allclose(judge.picture(keep), whole, rtol=1e-4, atol=1e-5)
     mean, worst = picture_change(judge.full, whole)  # by tiles' luminance, noise included
     change = judge.change(keep)
@@ -116,14 +116,14 @@ def test_an_evaluation_is_complete_and_goes_on_where_it_was(tmp_path: Path) -> N
         if row["policy"] == "oracle":
             assert holds(row, Budget(row["setting"], 5 * row["setting"]))
     again = Evaluation(stage(), settings, tmp_path)
-    rays = again.judge.loop.rays
+    rays = again.judge.loop.tracer.rays
     again.run()
     assert again.rows == first.rows
-    assert again.judge.loop.rays == rays  # nothing is traced a second time
+    assert again.judge.loop.tracer.rays == rays  # nothing is traced a second time
     other = Evaluation(stage(), Settings(samples=8, options=settings.options), tmp_path)
-    rays = other.judge.loop.rays
+    rays = other.judge.loop.tracer.rays
     other.measure("none", 0.0, without())
-    assert other.judge.loop.rays > rays
+    assert other.judge.loop.tracer.rays > rays
 
 
 def test_pieces_are_kept_apart_by_all_that_they_depend_on(tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ import pytest
 from lipac.core.accel.blas import BlasCache
 from lipac.core.accel.hitboxes import Hitboxes
 from lipac.core.accel.tlas import Tlas
-from lipac.core.culling.loop import CullingResult, Loop
+from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
+from lipac.core.culling.result import CullingResult
 from lipac.core.errors import InputError
 from lipac.core.hybrid.composition import MODES, Light, added, boxes_before_lamps, in_question, mixture, reference, share_of_paths, with_mode
 from lipac.core.scene import model as s
@@ -104,7 +105,7 @@ def test_analysis_weighs_what_the_picture_loses(known):
     hits = dataclasses.replace(first_hits(scene), lamps_known=known)
     loop = Loop(dataclasses.replace(scene, first_hits={size: hits}), CullOptions(paths=16))
     loop.ambient = 0.05  # as rounds would find it, about
-    measured = loop.measure(loop.build(np.ones(2, bool)))
+    measured = loop.measure(loop.tracer.build(np.ones(2, bool)))
     traced = light(scene, samples=measured.samples)
     lamps, rest = (float((x @ LUMINANCE).mean()) for x in (traced.clear, traced.indirect))
     assert lamps > 3 * rest > 0

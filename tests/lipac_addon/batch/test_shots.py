@@ -15,8 +15,8 @@ import bpy
 import numpy as np
 import pytest
 
+from lipac.core.culling.activation import COLD_HITS
 from lipac.core.culling.analysis import analyze
-from lipac.core.culling.loop import COLD_HITS
 from lipac.core.culling.options import CullOptions, State
 from lipac.core.culling.shot import Shot
 from lipac.core.error_budget.budget import Budget

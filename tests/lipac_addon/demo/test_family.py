@@ -124,6 +124,6 @@ def judged(scene: Scene, keep: np.ndarray, mean: float, worst: float) -> float:
     """How many times a budget culling surely takes, by luminance or colour, of the worst tile or the mean."""
     loop, pairs = Loop(scene, CullOptions(seed=JUDGE, width=WIDTH)), Pairs()
     for first in (0, SAMPLES):
-        pairs.add(loop.trace_again(loop.exists, first, SAMPLES), loop.trace_again(keep, first, SAMPLES), SAMPLES)
+        pairs.add(loop.tracer.trace_again(loop.activation.exists, first, SAMPLES), loop.tracer.trace_again(keep, first, SAMPLES), SAMPLES)
     changes = pairs.changes()
     return max(changes[name].times(mean, worst).low for name in MEASURES[:2])

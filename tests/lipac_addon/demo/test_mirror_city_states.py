@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from lipac.core.culling.analysis import by_budget
-from lipac.core.culling.loop import CullingResult, Loop
+from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
+from lipac.core.culling.result import CullingResult
 from lipac.core.error_budget.budget import Budget
 from lipac.core.feedback.hits import Feedback
 from lipac.core.scene.model import RayType
@@ -31,13 +32,12 @@ def states() -> States:
     scene = extract_frame(bpy.context.scene, 1).scene
     loop = Loop(scene, CullOptions(width=48, paths=ANALYSIS))
     loop.run()
-    loop.measured = None  # measured anew, by the first samples of the brute-force run
-    result = by_budget(loop, Budget(0.01, 0.05))
-    everything = by_budget(loop, Budget(0.0, 0.0))
+    measured = loop.measure()  # anew, by the first samples of the brute-force run
+    result = by_budget(loop, measured, Budget(0.01, 0.05))
+    everything = by_budget(loop, measured, Budget(0.0, 0.0))
     brute = Loop(scene, CullOptions(width=48))
-    brute.active = brute.exists.copy()
-    brute.next_sample = 0
-    feedback, _ = brute.trace(brute.build(brute.active), PATHS)
+    brute.tracer.next_sample = 0
+    feedback, _ = brute.tracer.trace(brute.tracer.build(brute.activation.exists), PATHS)
     return result, everything, feedback
 
 

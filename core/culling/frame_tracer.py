@@ -1,0 +1,197 @@
+"""Traces of one frame through any set of its instances, with the same random numbers where they are to be compared."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..accel.blas import BlasCache
+from ..accel.hitboxes import Hitboxes
+from ..accel.residency import Residency
+from ..accel.tlas import Tlas
+from ..arrays import F32, I32
+from ..errors import Cancelled
+from ..feedback.hits import Feedback, Weights
+from ..feedback.path_log import RECORD, PathLog, renumber
+from ..progress import Progress, silent
+from ..scene.change import Change
+from ..scene.film import Picture
+from ..scene.model import Scene
+from ..tracing.tracer import Prepared, advanced, prepare, trace
+from .options import CullOptions
+from .result import Timer
+
+ROUNDS_FROM = 1 << 20  # number of the first sample of rounds: what they choose is judged by others
+BOXES_PER_SEGMENT = 4  # nearest boxes that a ray segment asks for
+
+
+class FrameTracer:
+    """Paths through sets of a frame's instances; what they need is built first.
+
+    size: width and height of the analysis picture. paths, rays: traced so far in this frame. timer: seconds of its steps, of those of its callers too.
+    """
+
+    def __init__(self, scene: Scene, options: CullOptions, residency: Residency, cancelled: Callable[[], bool] | None) -> None:
+        self._options, self.residency = options, residency
+        self._enter(scene, cancelled)
+        with self.timer.step("build_s"):
+            self.prepared = prepare(scene, residency.blas)
+
+    def advance(self, scene: Scene, change: Change, cancelled: Callable[[], bool] | None) -> None:
+        """Go on to the next frame."""
+        self._enter(scene, cancelled)
+        with self.timer.step("build_s"):
+            self.prepared = advanced(self.prepared, scene, change)
+
+    def _enter(self, scene: Scene, cancelled: Callable[[], bool] | None) -> None:
+        self.scene, self._cancelled = scene, cancelled or (lambda: False)
+        self.timer = Timer()
+        self.paths = self.rays = 0
+        self.size = self._options.picture_size(scene.film)
+        self.next_sample = ROUNDS_FROM  # a measurement has the first ones, in every frame the same: what did not change measures the same
+
+    @property
+    def blas(self) -> BlasCache:
+        """The BLASes of the frame's meshes."""
+        return self.residency.blas
+
+    def step(self, progress: Progress) -> Callable[[int, int], None]:
+        """Called after each of many builds; raises Cancelled."""
+
+        def step(done: int, of: int) -> None:
+            progress(done / of, f"building {of:,} meshes")
+            if self._cancelled():
+                raise Cancelled
+
+        return step
+
+    def build(self, active: np.ndarray, progress: Progress = silent) -> Tlas:
+        """The TLAS over active (N,) bool instances; within a budget over those whose BLAS is there, else their BLASes are built first."""
+        with self.timer.step("build_s"):
+            if not self.residency.limited:
+                self.blas.need(self.scene.instances.mesh[active], self.step(progress))
+            return Tlas(self.scene.instances, self.blas, active)
+
+    def trace(
+        self,
+        tlas: Tlas,
+        samples: int,
+        boxes: Hitboxes | None = None,
+        weights: Weights | None = None,
+        progress: Progress = silent,
+        size: tuple[int, int] | None = None,
+        log: PathLog | None = None,
+    ) -> tuple[Feedback, F32]:
+        """Trace samples paths per pixel of a picture of size (the analysis' own by default), with random numbers that no earlier round used.
+
+        Returns feedback and the mean picture.
+        """
+        first_sample, self.next_sample = self.next_sample, self.next_sample + samples
+        return self.count(self.prepared, tlas, samples, first_sample, boxes, weights, progress, size, log)
+
+    def count(
+        self,
+        prepared: Prepared,
+        tlas: Tlas,
+        samples: int,
+        first_sample: int,
+        boxes: Hitboxes | None = None,
+        weights: Weights | None = None,
+        progress: Progress = silent,
+        size: tuple[int, int] | None = None,
+        log: PathLog | None = None,
+        only: NDArray[np.uint8] | None = None,
+    ) -> tuple[Feedback, F32]:
+        """Feedback and mean picture of the samples from first_sample on."""
+        with self.timer.step("trace_s"):
+            feedback = Feedback.zeros(len(self.scene.instances), boxes, weights)
+            picture = self._trace(prepared, tlas, samples, first_sample, feedback, progress, size or self.size, log, only)
+            self.paths += picture.paths
+            feedback.paths = picture.paths
+        return feedback, picture.mean
+
+    def trace_again(self, keep: np.ndarray, first_sample: int, samples: int, progress: Progress = silent) -> F32:
+        """The mean picture with only keep (N,) bool in the scene, by the same random numbers as a trace that began at first_sample.
+
+        Culled emitters are still picked by light sampling, and give nothing: other picks would be other random numbers.
+        """
+        tlas = self.build(keep)
+        with self.timer.step("trace_s"):
+            return self._trace(self.with_only_emitters(keep), tlas, samples, first_sample, None, progress, self.size).mean
+
+    def trace_paths(self, keep: np.ndarray, first_sample: int, only: NDArray[np.uint8], progress: Progress = silent) -> tuple[F32, F32]:
+        """Again the paths that only, (H, W, S) uint8, marks of a trace that began at first_sample, with only keep (N,) bool in the scene.
+
+        Returns their part of the mean picture, (H, W, 4) float32, and the light of each, (H, W, S, 3) float32.
+        """
+        tlas = self.build(keep)
+        with self.timer.step("trace_s"):
+            log = PathLog(np.zeros((0, RECORD), np.int32), np.zeros((*only.shape, 3), np.float32))
+            picture = self._trace(self.with_only_emitters(keep), tlas, only.shape[2], first_sample, None, progress, self.size, log, only)
+        return picture.mean, log.color
+
+    def trace_without(self, full: Tlas, first_sample: int, keep: np.ndarray, only: NDArray[np.uint8], log: PathLog, progress: Progress = silent) -> None:
+        """Into log what those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with only keep (N,) bool in the scene, by the
+        numbers of the entries of full.
+
+        The other paths of the log stay as they are.
+        """
+        tlas = self.build(keep)
+        with self.timer.step("trace_s"):
+            records = log.records.reshape(-1, RECORD)
+            records[np.flatnonzero(only), 0] = 0
+            feedback = Feedback.zeros(len(self.scene.instances))  # without which paths are not recorded
+            self._trace(self.with_only_emitters(keep), tlas, only.shape[2], first_sample, feedback, progress, self.size, log, only)
+            renumber(records, only.reshape(-1), places(full.ids, tlas.ids))
+
+    def with_only_emitters(self, keep: np.ndarray) -> Prepared:
+        """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""
+        emissive, flags = self.prepared.emissive, self.scene.instances.flags
+        if keep[emissive].all():
+            return self.prepared
+        flags = flags.copy()
+        flags[emissive[~keep[emissive]]] = 0
+        return self.prepared.with_instances(dataclasses.replace(self.scene.instances, flags=flags))
+
+    def _trace(
+        self,
+        prepared: Prepared,
+        tlas: Tlas,
+        samples: int,
+        first_sample: int,
+        feedback: Feedback | None,
+        progress: Progress,
+        size: tuple[int, int],
+        log: PathLog | None = None,
+        only: NDArray[np.uint8] | None = None,
+    ) -> Picture:
+        options = self._options
+        picture = trace(
+            prepared,
+            tlas,
+            samples=samples,
+            first_sample=first_sample,
+            seed=options.seed,
+            feedback=feedback,
+            hitbox_every=options.hitbox_every,
+            nearest=BOXES_PER_SEGMENT,
+            size=size,
+            threads=options.threads,
+            progress=progress,
+            cancelled=self._cancelled,
+            log=log,
+            only=only,
+        )
+        if self._cancelled():
+            raise Cancelled
+        self.rays += picture.rays
+        return picture
+
+
+def places(ids: I32, some: I32) -> np.ndarray:
+    """The place in ids (A,) of each of some (B,) of them, and behind these A, the number that stands for what is not built."""
+    order = np.argsort(ids)
+    return np.append(order[np.searchsorted(ids[order], some)], len(ids))

@@ -1,0 +1,84 @@
+"""What a frame's culling decided, and what it built for that."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..accel.blas import BlasCache
+from ..accel.tlas import Tlas
+from ..arrays import F32, I32, I64, U8
+from ..tracing.tracer import Prepared
+from .options import State
+
+
+@dataclass(frozen=True)
+class Built:
+    """Structures of a decided frame: they hold until its loop goes on to the next frame.
+
+    tlas: over the active instances. prepared: lights, tables and camera of the scene with nothing culled.
+    """
+
+    blas: BlasCache
+    tlas: Tlas
+    prepared: Prepared
+
+
+@dataclass(frozen=True)
+class CullingResult:
+    """What a frame's culling decided.
+
+    state: (N,) uint8 of `State`; score: (N,) float32 share of paths that met the instance; hits: (N, RAY_TYPES) int64 paths that met it, by type.
+    boxes: (H, 2, 3) float32 world boxes that stand in for what is culled. stats: the frame's figures, named as in report.json.
+    warnings: what could not be kept to. built: for a renderer of this frame; None where nothing was.
+    """
+
+    state: U8
+    score: F32
+    hits: I64
+    boxes: F32
+    stats: dict[str, float | int]
+    warnings: tuple[str, ...] = ()
+    built: Built | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def active(self) -> np.ndarray:
+        """(N,) bool."""
+        return self.state == State.ACTIVE
+
+
+def structure_figures(state: U8, mesh: I32, blas: BlasCache, tlas_bytes: int) -> dict[str, float | int]:
+    """Figures of a frame's states and structures, by their names in report.json. state: (N,); mesh: of each built instance."""
+    counts, meshes = np.bincount(state, minlength=len(State)), np.unique(mesh)
+    return {
+        "instances": len(state),
+        "active": int(counts[State.ACTIVE]),
+        "pending": int(counts[State.PENDING]),
+        "culled": int(counts[State.CULLED]),
+        "meshes": len(meshes),
+        "blas_built": blas.work.built,
+        "blas_refitted": blas.work.refitted,
+        "blas_bytes": int(blas.bytes_of[meshes].sum()),
+        "blas_held_bytes": blas.bytes,
+        "tlas_bytes": tlas_bytes,
+        "blas_s": blas.work.build_s,
+        "refit_s": blas.work.refit_s,
+    }
+
+
+@dataclass
+class Timer:
+    """Seconds per step of the loop."""
+
+    seconds: dict[str, float] = field(default_factory=lambda: {"build_s": 0.0, "trace_s": 0.0, "feedback_s": 0.0})
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Count what a block takes as `build_s`, `trace_s` or `feedback_s`."""
+        start = time.perf_counter()
+        yield
+        self.seconds[name] += time.perf_counter() - start
