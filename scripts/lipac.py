@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 
+from ..version import __version__
 from . import streams
 from .streams import say
 
@@ -55,9 +56,7 @@ def _run(argv: Sequence[str] | None) -> int:
         return 0 if arguments else 2
     name, *rest = arguments
     if name == "--version":
-        from importlib.metadata import version
-
-        say(version("lipac"), sys.stdout)
+        say(__version__, sys.stdout)
         return 0
     if name not in COMMANDS:
         say(f"lipac: unknown command '{name}'; choose one of {', '.join(COMMANDS)}", sys.stderr)

@@ -22,6 +22,7 @@ from ..core.error_budget.budget import SPREAD, Budget
 from ..core.errors import InputError
 from ..core.progress import Progress, Terminal, silent
 from ..core.warmup import load_ahead, telling
+from ..version import __version__
 from .streams import say
 
 if TYPE_CHECKING:
@@ -328,7 +329,7 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
         together = job.shot or job.frames
         options["frames"] = [together[0], together[-1]]
     threads = args.threads or os.cpu_count() or 1
-    return Report(str(path), bpy.app.version_string, own_version(), args.cull, job.engine, args.seed, threads, options)
+    return Report(str(path), bpy.app.version_string, __version__, args.cull, job.engine, args.seed, threads, options)
 
 
 def linked_files() -> list[Path]:
@@ -350,16 +351,3 @@ def digest(*paths: Path) -> str:
         with path.open("rb") as file:
             hashlib.file_digest(file, lambda: found)
     return found.hexdigest()
-
-
-def own_version() -> str:
-    """Version of this package: of the installation, or of the extension's manifest."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("lipac")
-    except PackageNotFoundError:
-        import tomllib
-
-        manifest = Path(__file__).parent.parent / "blender_manifest.toml"
-        return str(tomllib.loads(manifest.read_text())["version"]) if manifest.exists() else "unknown"

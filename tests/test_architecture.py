@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import lipac
+from lipac.scripts.dev import architecture_page
 
 ROOT = Path(lipac.__file__).parent
 FOLDERS = ("core", "lipac_addon", "scripts")
@@ -17,7 +18,7 @@ MODULES_TO_A_FOLDER, LINES_TO_A_MODULE, LINES_TO_A_CLASS = 12, 400, 200
 
 # Each imports from floors above it in this list, and from its own. A module belongs to the longest name that fits it.
 FLOORS = (
-    "core.arrays core.errors core.progress",
+    "version core.arrays core.errors core.progress",
     "core.jit core",
     "core.files",
     "core.scene",
@@ -41,7 +42,7 @@ FLOORS = (
     "lipac_addon.ui.jobs",
     "lipac_addon.ui.draw",
     "lipac_addon.ui",
-    "lipac_addon lipac_addon.family_trial",
+    "lipac_addon lipac_addon.family_trial lipac_addon.library",
     "lipac",
     "scripts",
     "tests scripts.dev",
@@ -69,7 +70,7 @@ LONG_CLASSES: dict[str, int] = {
 @cache
 def sources() -> dict[str, Path]:
     """Files of the package by module name without `lipac.`; `lipac` itself by that name."""
-    found = {"lipac": ROOT / "__init__.py"}
+    found = {"lipac": ROOT / "__init__.py", "version": ROOT / "version.py"}
     for folder in FOLDERS:
         for path in (ROOT / folder).rglob("*.py"):
             found[".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")] = path
@@ -161,3 +162,10 @@ def test_the_user_interface_hides_no_import_of_its_own() -> None:
                     depth = len(name.split(".")) - node.level + (sources()[name].name == "__init__.py")
                     base = [*name.split(".")[:depth], *(node.module or "").split(".")]
                     assert base[:2] != ["lipac_addon", "ui"], (name, node.lineno)
+
+
+def test_the_diagrams_are_current() -> None:
+    """`python -m lipac.scripts.dev.architecture_page` draws them."""
+    text = architecture_page.PAGE.read_text()
+    assert "culling --> tracing" in text
+    assert architecture_page.page(text) == text

@@ -13,6 +13,7 @@ import zipfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from ...version import __version__
 from .lock import pins
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -68,7 +69,8 @@ def download(platform: str, pythons: Iterable[str], folder: Path) -> list[Path]:
 def sources() -> list[Path]:
     """Files of the extension, relative to the root."""
     inside = [path for name in PACKAGES for path in (ROOT / name).rglob("*") if path.suffix in SUFFIXES and "__pycache__" not in path.parts]
-    return sorted(path.relative_to(ROOT) for path in (*inside, ROOT / "__init__.py", ROOT / "LICENSE", ROOT / "README.md"))
+    outside = [ROOT / name for name in ("__init__.py", "version.py", "py.typed", "LICENSE", "README.md")]
+    return sorted(path.relative_to(ROOT) for path in (*inside, *outside))
 
 
 def build(platform: str, wheels: Sequence[Path], output: Path) -> Path:
@@ -83,7 +85,7 @@ def build(platform: str, wheels: Sequence[Path], output: Path) -> Path:
         for wheel in wheels:
             shutil.copyfile(wheel, stage / "wheels" / wheel.name)
         (stage / MANIFEST).write_text(manifest(platform, [wheel.name for wheel in wheels]))
-        path = output / f"lipac-{version()}-{platform.replace('-', '_')}.zip"
+        path = output / f"lipac-{__version__}-{platform.replace('-', '_')}.zip"
         path.unlink(missing_ok=True)
         blender("build", "--source-dir", str(stage), "--output-filepath", str(path.resolve()))
     blender("validate", str(path.resolve()))
@@ -101,11 +103,6 @@ def write_docs(folder: Path) -> None:
         (folder / f"{name}.html").write_text(f"<!doctype html><meta charset=utf-8><title>LiPaC</title><style>{STYLE}</style>\n{body}\n")
         for picture in re.findall(r'src="pictures/([^"]+)"', body):
             shutil.copyfile(ROOT / "docs" / "pictures" / picture, folder / "pictures" / picture)
-
-
-def version() -> str:
-    """Version in the manifest."""
-    return str(tomllib.loads((ROOT / MANIFEST).read_text())["version"])
 
 
 def manifest(platform: str, wheels: Iterable[str]) -> str:

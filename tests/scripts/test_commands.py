@@ -242,7 +242,7 @@ def test_help_is_quick_and_needs_no_blender():
     assert main(["--version"]) == 0
 
 
-def no_thread():
+def no_thread(*_arguments):
     """As `threading` fails where a user may have no more processes."""
     raise RuntimeError("can't start new thread")
 
@@ -250,17 +250,17 @@ def no_thread():
 def test_our_own_errors_show_no_traceback(blend, tmp_path, monkeypatch, capfd):
     from lipac.scripts import options
 
-    monkeypatch.setattr(options, "own_version", lambda: 1 / 0)
+    monkeypatch.setattr(options, "new_report", lambda *_: 1 / 0)
     arguments = ["analyze", str(blend), "-o", str(tmp_path), "--quiet"]
     monkeypatch.delenv("LIPAC_DEBUG", raising=False)
     assert main(arguments) == 1
     err = capfd.readouterr().err
     assert err.count("\n") == 1
     assert "internal error: ZeroDivisionError" in err
-    monkeypatch.setattr(options, "own_version", no_thread)
+    monkeypatch.setattr(options, "new_report", no_thread)
     assert main(arguments) == 1
     assert "allows no more threads" in capfd.readouterr().err
-    monkeypatch.setattr(options, "own_version", lambda: 1 / 0)
+    monkeypatch.setattr(options, "new_report", lambda *_: 1 / 0)
     monkeypatch.setenv("LIPAC_DEBUG", "1")
     with pytest.raises(ZeroDivisionError):
         main(arguments)
