@@ -93,7 +93,8 @@ def set_hidden(objects: list[bpy.types.Object], hidden: bool, in_render: bool = 
     assigned = [ob for ob in objects if ob.library or (ob.override_library and not in_render)]
     for ob in assigned:
         ob.hide_render = hidden
-    bpy.data.objects.foreach_set("hide_render", values)
+    free = np.array([not ob.is_property_readonly("hide_render") for ob in bpy.data.objects])
+    bpy.data.objects.foreach_set("hide_render", np.concatenate([values[free], values[~free]]))  # Blender passes over the others, without their values
     for ob in objects:
         ob.update_tag()
 

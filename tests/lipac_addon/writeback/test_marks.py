@@ -36,6 +36,29 @@ def test_a_failure_leaves_nothing(broken, build, census_keys, snapshot, monkeypa
     assert restore() is False
 
 
+def test_objects_after_what_cannot_be_edited(new_file, tmp_path):
+    """Blender writes values of many objects one after the other, and passes over overrides that it made itself: none of the values may go to a neighbour."""
+    made = bpy.data.collections.new("made")
+    for name in ("b override", "e override"):
+        link(triangle(name), made)
+    path = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(path, {made})
+    for ob in list(made.objects):
+        bpy.data.objects.remove(ob)
+    bpy.data.collections.remove(made)
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.collections = ["made"]
+    bpy.context.scene.collection.children.link(wanted.collections[0])
+    wanted.collections[0].override_hierarchy_create(bpy.context.scene, bpy.context.view_layer)
+    local = [link(triangle(name)) for name in ("a", "c", "d", "f", "g")]
+    assert [ob.name for ob in bpy.data.objects if ob.is_property_readonly("hide_render") and not ob.library] == ["b override", "e override"]
+    for chosen in ([local[1], local[4]], [local[0], bpy.data.objects["b override"], local[3]]):
+        marks.set_hidden(chosen, True)
+        assert [ob for ob in bpy.data.objects if ob.hide_render] == chosen
+        marks.set_hidden(chosen, False)
+        assert not any(ob.hide_render for ob in bpy.data.objects)
+
+
 def overrides(tmp_path):
     """Library overrides of a host, its source as a real object, a plain object and an emitter, in a file that was saved and loaded."""
     scatter(link(points("host", 20)), link(triangle("source"), at=(0, 9, 0)))
