@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from ..version import __version__
 from . import streams
@@ -23,6 +26,9 @@ COMMANDS = {
     "evaluate": ("evaluate", "measure speed against error for every culling policy"),
     "bench": ("bench", "measure speed against peers"),
 }
+
+STOPPED = "stopped; finished frames and their report are kept"
+NO_MEMORY = "out of memory; lower --resolution or the number of instances, close other programs, or allow this one more memory"
 
 
 _began = time.monotonic()
@@ -68,6 +74,11 @@ def guarded(name: str, arguments: Sequence[str]) -> int:
     """Run a command; errors become one line on stderr and an exit status. LIPAC_DEBUG=1 shows where they come from."""
     global _began  # noqa: PLW0603
     _began = time.monotonic()
+    with _ctrl_c_noted() as stopped:
+        return _guarded(name, arguments, stopped)
+
+
+def _guarded(name: str, arguments: Sequence[str], stopped: threading.Event) -> int:
     from ..core.errors import Cancelled, InputError
 
     try:
@@ -76,21 +87,51 @@ def guarded(name: str, arguments: Sequence[str]) -> int:
     except InputError as error:
         line, status = str(error), 2
     except (KeyboardInterrupt, Cancelled):
-        line, status = "stopped; finished frames and their report are kept", 130
+        line, status = STOPPED, 130
     except MemoryError:
-        line, status = "out of memory; lower --resolution or the number of instances, or close other programs", 1
+        line, status = NO_MEMORY, 1
     except OSError as error:
-        line, status = _lost(error), 1
+        line, status = NO_MEMORY if _unmapped(error) else _lost(error), 1
     except Exception as error:
-        if os.environ.get("LIPAC_DEBUG", "") not in ("", "0"):
+        if os.environ.get("LIPAC_DEBUG", "") not in ("", "0") and not stopped.is_set():
             raise
-        if "can't start new thread" in str(error):
-            say(f"lipac {name}: the system allows no more threads; allow this user more processes, or give --threads 1", sys.stderr)
-            return 1
-        first = str(error).strip().splitlines()[:1]
-        line, status = f"internal error: {type(error).__name__}: {''.join(first)} (LIPAC_DEBUG=1 shows more)", 1
+        line, status = _internal(error), 1
+    if stopped.is_set():  # what was being imported says something else
+        line, status = STOPPED, 130
     say(f"lipac {name}: {line}", sys.stderr)
     return status
+
+
+def _internal(error: Exception) -> str:
+    """What to say of an error that none of ours is."""
+    if "can't start new thread" in str(error):
+        return "the system allows no more threads; allow this user more processes, or give --threads 1"
+    first = str(error).strip().splitlines()[:1]
+    return NO_MEMORY if _unmapped(error) else f"internal error: {type(error).__name__}: {''.join(first)} (LIPAC_DEBUG=1 shows more)"
+
+
+@contextmanager
+def _ctrl_c_noted() -> Iterator[threading.Event]:
+    """Set from when Ctrl-C is pressed on, which raises KeyboardInterrupt as always."""
+    stopped = threading.Event()
+
+    def note(*_: object) -> None:
+        stopped.set()
+        raise KeyboardInterrupt
+
+    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) == signal.default_int_handler
+    if ours:
+        signal.signal(signal.SIGINT, note)
+    try:
+        yield stopped
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _unmapped(error: Exception) -> bool:
+    """Whether a library finds no room in memory."""
+    return any(text in str(error) for text in ("failed to map segment", "cannot allocate memory", "Cannot allocate memory", "load shared object file"))
 
 
 def _lost(error: OSError) -> str:

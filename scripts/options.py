@@ -23,6 +23,7 @@ from ..core.errors import InputError
 from ..core.progress import Progress, Terminal, silent
 from ..core.warmup import load_ahead, telling
 from ..version import __version__
+from .last_words import last_words
 from .streams import say
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ class Parser(argparse.ArgumentParser):
 def scene_parser(command: str, description: str) -> Parser:
     """A parser with the options of `analyze`, of which `render` has more."""
     parser = Parser(prog=f"lipac {command}", description=description)
+    parser.set_defaults(command=command)
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help=".blend, .glb, .gltf, .usd*, .obj, .ply or .stl; inside Blender: the open file")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for pictures, states and report.json")
     parser.add_argument("--frames", type=frame_range, metavar="A-B", help="frames to do (default: the scene's current one)")
@@ -263,7 +265,7 @@ def do_frames(
     """What `analyze` and `render` share: check, open, work through the frames, and print the table. hybrid: fields of `HybridOptions`; save: as in `Job`."""
     check(args)
     # Blender's start, too: it swallows exceptions while it starts, and goes on half started
-    with progress_of(args.quiet) as shown, telling(shown) as progress, ctrl_c() as cancelled:
+    with last_words(_crashed(args), 1), progress_of(args.quiet) as shown, telling(shown) as progress, ctrl_c() as cancelled:
         progress(0.0, "opening the scene")
         from ..lipac_addon.console import muted
 
@@ -280,7 +282,9 @@ def do_frames(
         if args.cull != "none" or engine not in BLENDER_ENGINES:
             load_ahead()
         if args.scene is not None:
-            open_scene(args.scene)
+            unread = f"lipac {args.command}: cannot read {args.scene}: its reader crashed: it is damaged, or memory is short; save or export it again"
+            with last_words(unread, 2):
+                open_scene(args.scene)
         else:
             leave_modes()
         if save is not None:
@@ -310,6 +314,17 @@ def do_frames(
         if len(lines) > MOST_LINES:
             say(f"{kind}: {len(lines) - MOST_LINES} more, in {args.output / 'report.json'}", sys.stderr)
     return report
+
+
+def _crashed(args: argparse.Namespace) -> str:
+    """What to say where native code crashes."""
+    limit = ""
+    if os.name != "nt":
+        import resource
+
+        space = resource.getrlimit(resource.RLIMIT_AS)[0]
+        limit = "" if space == resource.RLIM_INFINITY else f" of the {space / 1e9:.1f} GB that this process may take (ulimit -v)"
+    return f"lipac {args.command}: Blender, or a library of it, crashed: out of memory{limit}, or a fault of its own; finished frames and their report are kept"
 
 
 def new_report(args: argparse.Namespace, job: Job) -> Report:

@@ -150,6 +150,9 @@ def _count_bytes(user, change, post):
     return True
 
 
+OUT_OF_MEMORY = 4  # RTCError
+
+
 class Device:
     """An Embree device whose allocations are counted.
 
@@ -159,6 +162,8 @@ class Device:
     def __init__(self, threads: int = 0) -> None:
         self.handle = lib.rtcNewDevice(f"threads={threads},set_affinity=0".encode())
         if not self.handle:
+            if lib.rtcGetDeviceError(None) == OUT_OF_MEMORY:
+                raise MemoryError("Embree has no memory to start")
             raise InputError("Embree found no usable processor: it needs SSE2 on x86-64, or an arm64 processor")
         weakref.finalize(self, lib.rtcReleaseDevice, self.handle).atexit = False
         version = lib.rtcGetDeviceProperty(self.handle, DEVICE_VERSION)
@@ -178,7 +183,7 @@ class Device:
         """Raise MemoryError or RuntimeError if Embree reported an error since the last call; doing completes "Embree failed to ..."."""
         code = lib.rtcGetDeviceError(self.handle)
         if code:
-            error = MemoryError if code == 4 else RuntimeError
+            error = MemoryError if code == OUT_OF_MEMORY else RuntimeError
             raise error(f"Embree failed to {doing} (error {code})")
 
     def new_scene(self, flags: int, quality: int = QUALITY_MEDIUM) -> int:
