@@ -17,7 +17,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from ..core.culling.options import DEFAULT_BUDGET, POLICIES, CullOptions
+from ..core.culling.options import DEFAULT_BUDGET, CullOptions
+from ..core.culling.policies import LIGHT_PATHS, POLICIES, RULES
 from ..core.error_budget.budget import SPREAD, Budget
 from ..core.errors import InputError
 from ..core.progress import Progress, Terminal, silent
@@ -51,14 +52,16 @@ def scene_parser(command: str, description: str) -> Parser:
     parser.add_argument("--resolution", type=resolution, metavar="WxH", help="size of the picture (default: the scene's)")
     parser.add_argument("--camera", metavar="NAME", help="camera to use; 'auto' frames the whole scene (default: the scene's)")
     culling = parser.add_argument_group("culling")
-    culling.add_argument("--cull", choices=POLICIES, default="light-paths", help="what decides (default: %(default)s)")
+    listed = [name for name, policy in POLICIES.items() if policy.listed]
+    culling.add_argument("--cull", choices=listed, default=LIGHT_PATHS, help="what decides (default: %(default)s)")
     error = "light-paths: share by which the mean of 16 x 9 tiles of the picture, and the worst of them, may change (default: 0.01; T: five times E)"
     culling.add_argument("--max-error", metavar="E[,T]", help=error)
     culling.add_argument("--min-share", type=number, metavar="S", help="light-paths: instead of an error, keep what at least this share of paths meets")
     culling.add_argument("--paths", type=path_count, metavar="N", help="light-paths: paths per pixel of the analysis (default: as many as the error needs)")
-    culling.add_argument("--solid-angle", type=number, metavar="DEG", help="solid-angle: keep what spans at least this angle")
-    culling.add_argument("--distance", type=number, metavar="M", help="distance: keep what is nearer than this")
-    culling.add_argument("--margin", type=number, metavar="S", help="frustum: widen the picture by this share of it")
+    for policy in [policy for policy in RULES.values() if policy.listed]:
+        own = policy.setting
+        assert own is not None
+        culling.add_argument(own.option, type=number, metavar=own.unit, help=f"{policy.name}: {own.description[0].lower()}{own.description[1:]}")
     shot = parser.add_argument_group("frames of a shot")
     shot.add_argument("--bake", choices=("frame", "shot"), default="frame", help="frame: what each frame needs; shot: in all frames what any of them needs")
     part = "with --bake shot: the frames that the set is for, where --frames are a part of them: so a shot can be split"
@@ -226,7 +229,9 @@ def cull_options(args: argparse.Namespace) -> CullOptions:
     A hybrid picture shows what is culled all the same, so no tile of it need change by more than the mean may.
     """
     spread = 1.0 if getattr(args, "engine", "") == "hybrid" else SPREAD
-    given = {name: getattr(args, name) for name in ("min_share", "paths", "solid_angle", "distance", "margin")}
+    given = {name: getattr(args, name) for name in ("min_share", "paths")}
+    own = POLICIES[args.cull].setting
+    given["setting"] = None if own is None else getattr(args, own.name)
     given["max_error"] = Budget.parse(f"{DEFAULT_BUDGET.mean}" if args.max_error is None else args.max_error, spread)
     given["blas_budget_bytes"] = args.blas_budget
     said = {name: value for name, value in given.items() if value is not None}

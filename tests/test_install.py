@@ -19,7 +19,7 @@ ROOT = Path(lipac.__file__).parent
 
 @pytest.mark.smoke
 def test_core_imports_without_bpy() -> None:
-    modules = [".".join(("lipac", *path.relative_to(ROOT).with_suffix("").parts)) for path in sorted((ROOT / "core").rglob("*.py"))]
+    modules = [".".join(("lipac", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__") for path in sorted((ROOT / "core").rglob("*.py"))]
     assert "lipac.core.tracing.bsdf.lobes" in modules
     code = f"import importlib, sys; [importlib.import_module(m) for m in {modules!r}]; sys.exit('bpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -48,7 +48,7 @@ def test_arrays_need_no_blender() -> None:
 
 
 def test_a_scene_is_culled_and_taken_back(boxes: bpy.types.Scene) -> None:  # noqa: F811
-    options = lipac.CullOptions(policy="distance", distance=19.5)
+    options = lipac.CullOptions(policy="distance", setting=19.5)
     analysis = lipac.analyze(boxes, options=options)
     applied = lipac.apply(analysis)
     assert applied.removed.sum() == (analysis.state == 0).sum() == 4

@@ -17,10 +17,10 @@ from ..feedback.tiles import TILES
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import Certificate, Verdict
-from .heuristics import heuristic
 from .loop import Loop
 from .measurement import Measurement
 from .options import CullOptions
+from .policies import LIGHT_PATHS
 from .result import CullingResult
 
 PRICELESS = 50.0  # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with more than that
@@ -40,9 +40,9 @@ def analyze(
 def decide(loop: Loop, progress: Progress = silent) -> CullingResult:
     """Decide the frame that a loop stands at, cold or advanced to."""
     scene, options = loop.scene, loop.options
-    if options.policy != "light-paths":
+    if options.policy != LIGHT_PATHS:
         n = len(scene.instances)
-        keep = heuristic(scene, options) & loop.activation.exists
+        keep = options.rule(scene) & loop.activation.exists
         loop.activation.activate_alone(keep)
         return loop.result(keep, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
     measured = loop.run(part(progress, 0.0, 0.7, "light paths ask for geometry, "))

@@ -10,7 +10,8 @@ import numpy as np
 from ..error_budget.budget import Budget
 from ..errors import InputError
 from ..feedback.tiles import TILES
-from ..scene.model import Film
+from ..scene.model import Film, Scene
+from .policies import LIGHT_PATHS, POLICIES
 
 # Something that a coarse tile's paths do not meet may be worth some of them, each as bright as what stands behind it: so many paths, over the tile's bound.
 TILE_PATHS = 120
@@ -27,15 +28,13 @@ class State(IntEnum):
 
 
 DEFAULT_BUDGET = Budget(0.01, 0.05)
-POLICIES = ("none", "frustum", "distance", "solid-angle", "light-paths")
 
 
 @dataclass(frozen=True)
 class CullOptions:
     """How to cull. Defaults suit a first scene.
 
-    policy: one of POLICIES. margin: `frustum`, share of the picture (Cycles' default). distance: metres from the camera; for `distance`.
-    solid_angle: degrees that an instance's bounding sphere must span; for `solid-angle`.
+    policy: one of `policies.POLICIES`. setting: the number that it goes by, such as metres or degrees; None: its default.
     max_error: `light-paths`: how much the picture may change. min_share: `light-paths` by plain counts instead: an instance stays if at least this share of the
     paths meets it. paths: per pixel, for the measurement of both; 0: as many as the bounds need.
     width: of the analysis picture in pixels (its height follows the film).
@@ -47,10 +46,8 @@ class CullOptions:
     blas_budget_bytes: of all BLASes together; 0: no limit, as a final render wants it.
     """
 
-    policy: str = "light-paths"
-    margin: float = 0.1
-    distance: float = 50.0
-    solid_angle: float = 1.0
+    policy: str = LIGHT_PATHS
+    setting: float | None = None
     max_error: Budget = DEFAULT_BUDGET
     min_share: float | None = None
     paths: int = 0
@@ -95,10 +92,17 @@ class CullOptions:
     @property
     def by_counts(self) -> bool:
         """Whether no budget is kept."""
-        return self.min_share is not None or self.policy != "light-paths"
+        return self.min_share is not None or self.policy != LIGHT_PATHS
 
     def __post_init__(self) -> None:
         if self.policy not in POLICIES:
-            raise InputError(f"unknown culling policy '{self.policy}': choose one of {', '.join(POLICIES)}")
+            raise InputError(f"unknown culling policy '{self.policy}': choose one of {', '.join(name for name, p in POLICIES.items() if p.listed)}")
+
+    def rule(self, scene: Scene) -> np.ndarray:
+        """Instances that the policy keeps, one that needs no light paths: (N,) bool."""
+        policy = POLICIES[self.policy]
+        assert policy.keep is not None
+        default = policy.setting.default if policy.setting else 0.0
+        return policy.keep(scene, default if self.setting is None else self.setting)
 
 

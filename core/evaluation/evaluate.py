@@ -13,8 +13,8 @@ import numpy as np
 
 from ..arrays import F32
 from ..culling.analysis import analyze
-from ..culling.heuristics import keep_distance, keep_frustum, keep_solid_angle
 from ..culling.options import CullOptions
+from ..culling.policies import RULES, Policy
 from ..error_budget.budget import Budget
 from ..files.atomic import replacing
 from ..progress import Progress, part, silent
@@ -28,7 +28,6 @@ PATHS, EVERY = (1, 2, 4, 8, 16), (2, 4, 8, 16)  # of the ray budget's study
 LADDER = 5  # settings of a heuristic before it is refined
 REFINEMENTS = 2  # further settings for each budget
 ORACLE_PATHS = 4  # times the judge's
-HEURISTICS = ("frustum", "distance", "camera+distance", "solid-angle")
 OURS, ORACLE, COUNTS, RANDOM = "light-paths", "oracle", "light-paths counts", "random"
 Row = dict[str, Any]
 
@@ -90,21 +89,6 @@ def _add(digest: Any, value: Any) -> None:
         digest.update(repr(value).encode())
 
 
-def keep_of(scene: Scene, policy: str) -> tuple[Callable[[float], np.ndarray], np.ndarray]:
-    """A heuristic as a function of its setting, and settings from least kept to most."""
-    bounds = scene.instances.bounds[np.isfinite(scene.instances.bounds).all(axis=(1, 2))]
-    extent = float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)))
-    distances = extent * np.geomspace(1e-3, 1.0, 48)
-    if policy == "frustum":
-        return lambda margin: keep_frustum(scene, margin), np.append(0.0, np.geomspace(0.05, 50, 31))
-    if policy == "distance":
-        return lambda metres: keep_distance(scene, metres), distances
-    if policy == "camera+distance":  # as Cycles does with both: culled where both say so
-        seen = keep_frustum(scene, CullOptions().margin)
-        return lambda metres: seen | keep_distance(scene, metres), distances
-    return lambda degrees: keep_solid_angle(scene, degrees), np.geomspace(179.0, 0.05, 48)
-
-
 class Evaluation:
     """Rows of one scene. scene: at the size the judge is to see. store: finished pieces."""
 
@@ -145,17 +129,18 @@ class Evaluation:
     def run(self, progress: Progress = silent) -> None:
         """All rows: the full scene, heuristics, ours by counts and by budget, random sets of equal count, the oracle."""
         self.measure("none", 0.0, np.ones(len(self.scene.instances), bool))
-        for k, policy in enumerate(HEURISTICS):
-            self.heuristic(policy, part(progress, 0.1 * k, 0.1 * (k + 1), f"{policy}, "))
+        for k, policy in enumerate(RULES.values()):
+            self.rule(policy, part(progress, 0.4 * k / len(RULES), 0.4 * (k + 1) / len(RULES), f"{policy.name}, "))
         self.counts(part(progress, 0.4, 0.48, "light-paths by counts, "))
         self.budgets(part(progress, 0.48, 0.6, "light-paths by budget, "))
         self.random(part(progress, 0.6, 0.65, "random, "))
         self.oracles(part(progress, 0.65, 1.0))
 
-    def heuristic(self, policy: str, progress: Progress = silent) -> None:
-        """Rows of a heuristic: a ladder of settings, then between the last that fails a budget and the first that holds it."""
-        keep, settings = keep_of(self.scene, policy)
-        sets = [keep(x) for x in settings]
+    def rule(self, policy: Policy, progress: Progress = silent) -> None:
+        """Rows of a rule: a ladder of settings, then between the last that fails a budget and the first that holds it."""
+        assert policy.setting is not None and policy.keep is not None
+        settings = policy.setting.ladder(self.scene)
+        sets = [policy.keep(self.scene, x) for x in settings]
         counts = np.array([s.sum() for s in sets])
         wanted = np.geomspace(max(counts[0], 1), max(counts[-1], 1), LADDER)
         done: dict[int, Row] = {}
@@ -163,7 +148,7 @@ class Evaluation:
         def add(index: int) -> None:
             if index not in done and not any(counts[index] == counts[j] and (sets[index] == sets[j]).all() for j in done):
                 progress(min(len(done) / (LADDER + REFINEMENTS * len(BUDGETS)), 1.0), f"setting {settings[index]:.3g}")
-                done[index] = self.measure(policy, settings[index], sets[index])
+                done[index] = self.measure(policy.name, settings[index], sets[index])
 
         for w in wanted:
             add(int(np.abs(counts - w).argmin()))
@@ -259,7 +244,7 @@ def at_equal_error(rows: list[Row]) -> list[Row]:
     out = []
     for budget in budgets():
         ours, oracle = (next(r for r in rows if r["policy"] == p and r["setting"] == budget.mean) for p in (OURS, ORACLE))
-        able = [r for r in rows if r["policy"] in (*HEURISTICS, "none") and holds(r, budget)]
+        able = [r for r in rows if r["policy"] in (*RULES, "none") and holds(r, budget)]
         entry: Row = {"error": budget.mean, "holds": holds(ours, budget), "mean": ours["mean"], "worst": ours["worst"]}
         for name in ("active", "blas_bytes"):
             best = min(able, key=lambda r: r[name])

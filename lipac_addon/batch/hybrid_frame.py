@@ -18,6 +18,7 @@ import numpy as np
 
 from ...core.arrays import F32
 from ...core.culling.options import CullOptions, State
+from ...core.culling.policies import LIGHT_PATHS
 from ...core.errors import Cancelled, InputError
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import RayType, Scene
@@ -103,7 +104,7 @@ def render_hybrid(
 
 def _sizes(scene: Scene, cull: CullOptions) -> tuple[tuple[int, int], ...]:
     """Of the pictures that an analysis traces."""
-    return (cull.picture_size(scene.film), cull.coarse_size(scene.film)) if cull.policy == "light-paths" else ()
+    return (cull.picture_size(scene.film), cull.coarse_size(scene.film)) if cull.policy == LIGHT_PATHS else ()
 
 
 def _draw(

@@ -16,8 +16,8 @@ import bpy
 import numpy as np
 
 from ...core.arrays import F32, F64, I64, U8, Records
-from ...core.culling.heuristics import heuristic
 from ...core.culling.options import CullOptions, State
+from ...core.culling.policies import LIGHT_PATHS, NOTHING
 from ...core.error_budget.budget import Budget
 from ...core.errors import Cancelled, NothingToAnalyse
 from ...core.files.atomic import alone, is_whole, sweep
@@ -113,7 +113,7 @@ class Job:
     @property
     def whole(self) -> bool:
         """Whether Blender renders its scene as it is, so that there is nothing to analyse."""
-        return self.options.policy == "none" and self.engine in BLENDER_ENGINES
+        return self.options.policy == NOTHING and self.engine in BLENDER_ENGINES
 
 
 def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel = never) -> None:
@@ -219,7 +219,7 @@ class Session:
         """Which instances of the frame that was extracted last stay. scene: what to look at in its place, with the same instances and meshes."""
         from ...core.culling.shot import Shot
 
-        if self.job.options.policy != "light-paths" and self.job.engine in BLENDER_ENGINES:
+        if self.job.options.policy != LIGHT_PATHS and self.job.engine in BLENDER_ENGINES:
             return _by_rule(extraction.scene, self.job.options, self._pinned)
         if self._shot is None:
             self._shot = Shot(self.job.options, independent=not self.job.warm)
@@ -231,7 +231,7 @@ def _by_rule(scene: Scene, options: CullOptions, pinned: np.ndarray | None) -> C
     from ...core.culling.result import CullingResult
 
     start = time.perf_counter()
-    keep = heuristic(scene, options) & existing(scene.instances.bounds)
+    keep = options.rule(scene) & existing(scene.instances.bounds)
     keep |= False if pinned is None else pinned
     n, active = len(keep), int(np.count_nonzero(keep))
     meshes = len(np.unique(scene.instances.mesh[keep]))
@@ -404,7 +404,7 @@ def _broken(entry: dict[str, Any], budget: Budget) -> bool:
 def _tightened(job: Job, entry: dict[str, Any], attempt: int) -> Job:
     """The job with a budget that is as much smaller as the engine's picture is above it, and by half more; at the last attempt without culling."""
     if attempt == ENFORCED - 1:
-        return replace(job, options=replace(job.options, policy="none"))
+        return replace(job, options=replace(job.options, policy=NOTHING))
     found, budget = _found(entry), job.options.max_error
     share = min(budget.mean / max(found.mean, 1e-9), budget.worst / max(found.worst, 1e-9), 1.0) / 2 ** (attempt + 1)
     return replace(job, options=replace(job.options, max_error=Budget(share * budget.mean, share * budget.worst)))

@@ -7,6 +7,7 @@ from typing import Any
 
 import bpy
 
+from ...core.culling.policies import POLICIES
 from .draw.boxes import KINDS
 from .draw.figures import LONGEST, lines, rows_of, rows_of_difference, rows_of_object, rows_of_renders
 from .jobs import engine, job, live
@@ -21,8 +22,6 @@ from .operators import (
     LIPAC_OT_restore,
 )
 from .state import applying, props, results
-
-_OWN = {"frustum": "margin", "distance": "distance", "solid-angle": "solid_angle"}
 
 
 def _table(layout: bpy.types.UILayout, rows: list[tuple[str, str]]) -> None:
@@ -71,12 +70,13 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(settings, "policy")
-        if settings.policy == "light-paths":
+        own = POLICIES[settings.policy].setting
+        if own is not None:
+            layout.prop(settings, own.name)
+        else:
             column = layout.column(align=True)
             column.prop(settings, "max_error")
             column.prop(settings, "worst_error")
-        else:
-            layout.prop(settings, _OWN[settings.policy])
         layout.prop(settings, "frames")
         if job.running is not None and not job.running.done:
             row = layout.row(align=True)

@@ -9,20 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from ...core.evaluation.evaluate import BUDGETS, COUNTS, HEURISTICS, ORACLE, OURS, RANDOM, Evaluation
+from ...core.culling.policies import RULES
+from ...core.evaluation.evaluate import BUDGETS, COUNTS, ORACLE, OURS, RANDOM, Evaluation
 from ...core.files.atomic import replacing
 from ...core.files.report import size
 from .compare import markdown
 from .hybrid_report import sections
 
+_COLORS, _MARKERS = ("tab:blue", "tab:green", "tab:purple", "tab:olive", "tab:cyan", "tab:brown"), ("s-", "^-", "d-", "v-")
 STYLE = {
     OURS: ("tab:red", "o-"),
     ORACLE: ("black", "*--"),
     COUNTS: ("tab:pink", "o:"),
-    "frustum": ("tab:blue", "s-"),
-    "distance": ("tab:green", "^-"),
-    "camera+distance": ("tab:olive", "v-"),
-    "solid-angle": ("tab:purple", "d-"),
+    **{name: (_COLORS[k % len(_COLORS)], _MARKERS[k % len(_MARKERS)]) for k, name in enumerate(RULES)},
     RANDOM: ("tab:gray", "x"),
 }
 AXES = {
@@ -94,7 +93,7 @@ def chosen(rows: list[dict[str, Any]]) -> list[int]:
     """Rows of the sheet: ours and the oracle at 1 %, and the heuristic of least error among those that keep at most 1.2 times as much as ours."""
     find = {(r["policy"], r["setting"]): k for k, r in enumerate(rows)}
     ours = find[OURS, BUDGETS[1]]
-    like = [k for k, r in enumerate(rows) if r["policy"] in HEURISTICS and r["active"] <= 1.2 * rows[ours]["active"]]
+    like = [k for k, r in enumerate(rows) if r["policy"] in RULES and r["active"] <= 1.2 * rows[ours]["active"]]
     return [ours, find[ORACLE, BUDGETS[1]], *([min(like, key=lambda k: rows[k]["mean"])] if like else [])]
 
 
@@ -131,7 +130,7 @@ def report(summary: Summary) -> str:
     lines = [f"# {summary['scene']}: cost against error", ""]
     lines += [f"{summary['instances']:,} instances, {summary['size'][0]} x {summary['size'][1]}, judged by {summary['samples']} paths per pixel.", ""]
     lines += ["'E' bounds the mean relative change of the picture's tiles, 5 E that of its worst tile. Heuristic: the cheapest setting of"]
-    lines[-1] += f" {', '.join(HEURISTICS)} that keeps both bounds. Last column: ours over the oracle, instances and BLAS bytes."
+    lines[-1] += f" {', '.join(RULES)} that keeps both bounds. Last column: ours over the oracle, instances and BLAS bytes."
     lines += [""]
     lines += [equal_error_table([(summary["scene"], e) for e in entries]), ""]
     lines += [f"- {line}" for e in entries for line in verdict(e)]

@@ -88,7 +88,7 @@ def measure(frames: int, size: tuple[int, int], samples: int) -> Pop:
         dark, lit = floor & (layers["Shadow"] < 0.5), floor & (layers["Shadow"] > 0.5)
         bright = float(np.median(whole[lit] @ LUMINANCE))
         shadow["unculled"].append(float((whole[dark] @ LUMINANCE).mean()) / bright)
-        row, cull = [whole], CullOptions(policy="distance", distance=KEPT)
+        row, cull = [whole], CullOptions(policy="distance", setting=KEPT)
         without, _, active = frame(scene, cull, FALLBACKS["none"], samples)
         kept.append(bool(active.all()))
         raster = whole if kept[-1] else frame(scene, cull, FALLBACKS["raster shadow maps"], samples)[0]

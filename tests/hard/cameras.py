@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from lipac.core.culling.analysis import analyze
-from lipac.core.culling.options import POLICIES, CullOptions
+from lipac.core.culling.options import CullOptions
+from lipac.core.culling.policies import POLICIES
 from lipac.core.scene import model as s
 from lipac.core.scene.camera import camera_constants, camera_ray
 

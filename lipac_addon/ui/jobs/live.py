@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
+from ....core.culling.policies import LIGHT_PATHS
 from ....core.errors import InputError
 from ..state import applying, props, results, session
 from . import engine, job
@@ -214,7 +215,7 @@ def _still() -> Change:
 def live_options(settings: props.LipacSettings) -> CullOptions:
     """The options of the scene's settings for a loop in real time: few paths and one round at a time, whose requests the next one meets."""
     options = props.cull_options(settings)
-    if options.policy != "light-paths":
+    if options.policy != LIGHT_PATHS:
         return options
     return replace(options, min_share=SHARE, paths=1, max_iterations=1, blas_budget_ms=BUILD_MS)
 

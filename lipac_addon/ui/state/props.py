@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
+from ....core.culling.policies import NOTHING, POLICIES
 from . import preferences, results, session
 
 if TYPE_CHECKING:
@@ -24,12 +25,7 @@ ROLES = (
     (PIN, "Pin", "Never cull: the analysis keeps it, whatever its light paths say", "PINNED", 1),
     (IGNORE, "Ignore", "Stay out of it: the analysis sees it, but renders show it as you set it", "GHOST_DISABLED", 2),
 )
-POLICIES = (
-    ("light-paths", "Light paths", "Keep what light paths meet: what is seen, reflected, what casts shadows or light into the picture"),
-    ("frustum", "Camera view", "Keep what is in the camera's view; loses what only mirrors or shadows show"),
-    ("distance", "Distance", "Keep what is near the camera"),
-    ("solid-angle", "Solid angle", "Keep what looks large from the camera"),
-)
+_OFFERED = [policy for policy in POLICIES.values() if policy.listed and policy.name != NOTHING]
 CURRENT, RANGE = "CURRENT", "RANGE"
 role_changes = 0  # how often a role was set: no dependency graph tells
 
@@ -65,7 +61,11 @@ def _preferred(name: str) -> Callable[[Any, float, bool], float]:
 class LipacSettings(bpy.types.PropertyGroup):
     """Settings of a scene."""
 
-    policy: EnumProperty(name="Keep", description="What decides which instances stay in the render", items=POLICIES)  # type: ignore[valid-type]
+    policy: EnumProperty(  # type: ignore[valid-type]
+        name="Keep",
+        description="What decides which instances stay in the render",
+        items=[(policy.name, policy.label, policy.description, "NONE", policy.rank) for policy in _OFFERED],
+    )
     max_error: preferences.percentage(  # type: ignore[valid-type]
         "Error budget", "How much the picture may change on average. Less keeps more", preferences.DEFAULTS.max_error, get_transform=_preferred("max_error")
     )
@@ -74,13 +74,6 @@ class LipacSettings(bpy.types.PropertyGroup):
         "How much any one tile of the picture (a 16th of its width) may change",
         preferences.DEFAULTS.worst_error,
         get_transform=_preferred("worst_error"),
-    )
-    margin: FloatProperty(  # type: ignore[valid-type]
-        name="Margin", description="Widen the camera's view by this share on each side", default=0.1, min=0.0, soft_max=1.0
-    )
-    distance: FloatProperty(name="Distance", description="Keep what is nearer to the camera than this", subtype="DISTANCE", default=50.0, min=0.0)  # type: ignore[valid-type]
-    solid_angle: FloatProperty(  # type: ignore[valid-type]
-        name="Angle", description="Keep what spans at least this angle, in degrees, at the camera", default=1.0, min=0.0, max=180.0
     )
     frames: EnumProperty(  # type: ignore[valid-type]
         name="Frames",
@@ -128,7 +121,17 @@ class LipacSettings(bpy.types.PropertyGroup):
     locked: BoolProperty(name="Interface lock", description="LiPaC locked the interface during renders", options={"HIDDEN"})  # type: ignore[valid-type]
 
 
+for _own in [policy.setting for policy in _OFFERED if policy.setting is not None]:
+    LipacSettings.__annotations__[_own.name] = FloatProperty(
+        name=_own.label, description=_own.description, default=_own.default, min=0.0, max=min(_own.most, 3.4e38), subtype=_own.kind
+    )
 _ROLE_OWNERS: tuple[Any, ...] = (bpy.types.Object, bpy.types.Collection)
+
+
+def own_setting(settings: LipacSettings) -> float | None:
+    """The number that the chosen policy goes by; None where it has none."""
+    own = POLICIES[settings.policy].setting
+    return None if own is None else float(getattr(settings, own.name))
 
 
 def cull_options(settings: LipacSettings) -> CullOptions:
@@ -138,9 +141,7 @@ def cull_options(settings: LipacSettings) -> CullOptions:
 
     return CullOptions(
         policy=settings.policy,
-        margin=settings.margin,
-        distance=settings.distance,
-        solid_angle=settings.solid_angle,
+        setting=own_setting(settings),
         max_error=Budget(settings.max_error / 100, settings.worst_error / 100),
         paths=settings.paths,
         width=settings.width,

@@ -220,7 +220,7 @@ def test_heuristics_hold_no_more_than_they_keep(policy: str) -> None:
     """A camera that passes a row of different things: what is behind is freed."""
     meshes = [scenes.sphere(rings) for rings in range(4, 24)]
     placement = [(k, scenes.placed((0, 6.0 * k, 0)), 0) for k in range(len(meshes))]
-    shot = Shot(CullOptions(policy=policy, distance=10.0, solid_angle=10.0))
+    shot = Shot(CullOptions(policy=policy, setting={"distance": 10.0, "solid-angle": 10.0}.get(policy)))
     for y in range(-5, 110, 12):
         scene = scenes.build(meshes, placement, camera=scenes.look_at((0, y, 1), (0, y + 5, 0)))
         stats = shot.advance(scene, Change(None, None, NONE, NONE, False, True)).stats

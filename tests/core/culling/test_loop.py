@@ -152,7 +152,7 @@ def test_cancel_stops_the_work() -> None:
         analyze(stage(), OPTIONS, cancelled=lambda: next(calls, True))
 
 
-@pytest.mark.parametrize("options", [CullOptions(width=160), OPTIONS, CullOptions(policy="distance", distance=0.1)], ids=["budget", "counts", "distance"])
+@pytest.mark.parametrize("options", [CullOptions(width=160), OPTIONS, CullOptions(policy="distance", setting=0.1)], ids=["budget", "counts", "distance"])
 def test_what_is_pinned_stays(options: CullOptions) -> None:
     scene = stage()
     pinned = np.zeros(len(scene.instances), bool)

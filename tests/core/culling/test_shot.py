@@ -261,7 +261,7 @@ def test_threads_change_nothing() -> None:
             np.testing.assert_array_equal(a, c)
 
 
-@pytest.mark.parametrize("options", [CullOptions(width=96, paths=4), CullOptions(policy="distance", distance=12.0), CullOptions(policy="none")])
+@pytest.mark.parametrize("options", [CullOptions(width=96, paths=4), CullOptions(policy="distance", setting=12.0), CullOptions(policy="none")])
 def test_other_policies_follow_too(options: CullOptions) -> None:
     shot = Shot(options)
     for frame in range(3):

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lipac.core.culling.options import CullOptions
+from lipac.core.culling.policies import RULES
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation import judge as judge_module
-from lipac.core.evaluation.evaluate import BUDGETS, HEURISTICS, OURS, Evaluation, Settings, Store, at_equal_error, holds, keep_of
+from lipac.core.evaluation.evaluate import BUDGETS, OURS, Evaluation, Settings, Store, at_equal_error, holds
 from lipac.core.evaluation.judge import Judge, picture_change
 from lipac.core.evaluation.oracle import retained, search
 from lipac.core.scene import model as s
@@ -97,20 +97,11 @@ def test_oracle_keeps_the_budget_and_no_more_than_a_proposal(judge: Judge) -> No
     assert not keep[HIDDEN]
 
 
-def test_heuristics_keep_more_and_more() -> None:
-    scene = stage()
-    for policy in HEURISTICS:
-        keep, settings = keep_of(scene, policy)
-        sets = [keep(x) for x in settings]
-        assert all((~a | b).all() for a, b in itertools.pairwise(sets))
-        assert sets[-1].sum() >= 3
-
-
 def test_an_evaluation_is_complete_and_goes_on_where_it_was(tmp_path: Path) -> None:
     settings = Settings(samples=4, options=CullOptions(width=64, paths=2))
     first = Evaluation(stage(), settings, tmp_path)
     first.run()
-    assert {row["policy"] for row in first.rows} == {"none", *HEURISTICS, OURS, "light-paths counts", "random", "oracle"}
+    assert {row["policy"] for row in first.rows} == {"none", *RULES, OURS, "light-paths counts", "random", "oracle"}
     assert [e["error"] for e in at_equal_error(first.rows)] == list(BUDGETS)
     for row in first.rows:
         if row["policy"] == "oracle":

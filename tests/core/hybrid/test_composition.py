@@ -293,7 +293,7 @@ def test_question():
 def test_reference_is_the_picture_with_everything():
     """The truth of the comparison is the path tracer's picture, though nothing was built before: means agree within 4 standard errors of its paths."""
     scene = mixed()
-    seen = reference(scene, CullOptions(policy="distance", distance=0.0, paths=16), lambda: False)
+    seen = reference(scene, CullOptions(policy="distance", setting=0.0, paths=16), lambda: False)
     blas = BlasCache(scene.meshes)
     blas.need(scene.instances.mesh)
     full = trace(prepare(scene, blas), Tlas(scene.instances, blas, np.ones(len(scene.instances), bool)), 64).mean[..., :3] @ LUMINANCE

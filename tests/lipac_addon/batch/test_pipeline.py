@@ -17,7 +17,7 @@ from lipac.lipac_addon.batch.hybrid_frame import HybridOptions
 from lipac.lipac_addon.batch.pipeline import FRAME, SHOT, Job, run
 from lipac.lipac_addon.pictures import read_picture
 
-DISTANCE = CullOptions(policy="distance", distance=19.5)  # the boxes behind the wall are further
+DISTANCE = CullOptions(policy="distance", setting=19.5)  # the boxes behind the wall are further
 
 
 def report():

@@ -18,7 +18,7 @@ from lipac.lipac_addon.batch.pipeline import Job, run
 from lipac.lipac_addon.batch.verify import GRID, Verified, change, random_crops
 from lipac.lipac_addon.pictures import read_picture
 
-NEAR = CullOptions(policy="distance", distance=13.2)  # culls boxes that the camera sees
+NEAR = CullOptions(policy="distance", setting=13.2)  # culls boxes that the camera sees
 ALL = GRID[0] * GRID[1]
 
 
@@ -43,7 +43,7 @@ def test_all_crops_measure_what_the_whole_pictures_show(boxes: Any, tmp_path: Pa
 
 def test_nothing_culled_measures_as_nothing(boxes: Any, tmp_path: Path) -> None:
     report = Report("boxes", "", "", "distance", "cycles", 0, 1)
-    run(Job(tmp_path, (1,), CullOptions(policy="distance", distance=1e6), "cycles", samples=1, verify=1), report)
+    run(Job(tmp_path, (1,), CullOptions(policy="distance", setting=1e6), "cycles", samples=1, verify=1), report)
     assert (report.frames[0]["verified_mean"], report.frames[0]["verified_worst"]) == (0.0, 0.0)
     assert "the same in crops, rendered by cycles: 0 % in the mean" in report.table()
 

@@ -134,7 +134,7 @@ def test_raster_alone_is_eevee(scene_file, tmp_path, monkeypatch):
     """Where paths have no share, what is shown is EEVEE's picture bit for bit as EEVEE shows it."""
     monkeypatch.setattr("lipac.core.hybrid.composition.share_of_paths", lambda *_: 0.0)
     bpy.ops.wm.open_mainfile(filepath=str(scene_file))
-    scene, cull = extract_frame(bpy.context.scene).scene, CullOptions(policy="distance", distance=0.0)
+    scene, cull = extract_frame(bpy.context.scene).scene, CullOptions(policy="distance", setting=0.0)
     _, figures = render_hybrid(scene, HybridOptions(raster_samples=1), cull, tmp_path / "hybrid", 1)
     assert figures["path_share"] == 0
     render_blender("eevee", tmp_path / "eevee", samples=1)

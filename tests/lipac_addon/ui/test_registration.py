@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import bpy
 import pytest
 
 import lipac
-from lipac.lipac_addon.ui import manual, operators, panel
+from lipac.lipac_addon.ui import manual, operators
 from lipac.lipac_addon.ui.draw import overlay
 from lipac.lipac_addon.ui.state import preferences, props
 
@@ -80,13 +79,19 @@ def test_every_operator_has_a_tooltip(ui):
 
 
 def test_policies_and_rays_are_those_of_the_engine(ui):
-    from lipac.core.culling.options import POLICIES
+    from lipac.core.culling.policies import POLICIES
     from lipac.core.scene.model import RayType
     from lipac.lipac_addon.ui.state.results import RAYS
 
-    assert {name for name, *_ in props.POLICIES} == set(POLICIES) - {"none"}
+    listed = {policy.name: policy for policy in POLICIES.values() if policy.listed and policy.name != "none"}
+    properties = props.LipacSettings.bl_rna.properties
+    assert {item.identifier: item.value for item in properties["policy"].enum_items} == {name: policy.rank for name, policy in listed.items()}
+    settings = [policy.setting for policy in listed.values() if policy.setting]
+    assert len(settings) == 3
+    for own in settings:
+        assert properties[own.name].default == pytest.approx(own.default)
+        assert properties[own.name].description == own.description
     assert tuple(kind.name.lower() for kind in RayType) == RAYS
-    assert set(panel._OWN) == set(POLICIES) - {"none", "light-paths"}
 
 
 def test_settings_become_options(scene):
@@ -95,7 +100,7 @@ def test_settings_become_options(scene):
     settings = scene.lipac
     settings.property_unset("policy")
     settings.property_unset("distance")
-    assert replace(props.cull_options(settings), margin=0.1) == CullOptions()  # Blender's numbers are single precision
+    assert props.cull_options(settings) == CullOptions()
     settings.max_error, settings.paths, settings.seed = 2.5, 9, 5
     options = props.cull_options(settings)
     assert (options.max_error.mean, options.paths, options.seed) == (pytest.approx(0.025), 9, 5)
