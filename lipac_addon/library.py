@@ -118,7 +118,7 @@ def render(
     import bpy
 
     from ..core.files.report import Report, output_folder
-    from .batch.engines import ENGINES
+    from .batch.choices import ENGINES
     from .batch.pipeline import Job, run
 
     if engine not in ENGINES:

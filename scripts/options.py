@@ -277,7 +277,7 @@ def do_frames(
         with muted():
             import bpy
         from ..lipac_addon.batch.baked import check_target
-        from ..lipac_addon.batch.engines import BLENDER_ENGINES
+        from ..lipac_addon.batch.choices import BLENDER_ENGINES
         from ..lipac_addon.batch.hybrid_frame import HybridOptions
         from ..lipac_addon.batch.pipeline import Job, run
         from ..lipac_addon.open import AUTO, leave_modes, missing_libraries, open_scene, use_camera

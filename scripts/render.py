@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-ENGINES = ("cycles", "eevee", "hybrid", "path")
-GI = ("path", "diffuse-1", "reflections", "none")
-
 
 def main(argv: Sequence[str]) -> int:
     """Write a picture and the states of each frame, and report.json; returns the exit status."""
+    from ..core.hybrid.modes import MODES
+    from ..lipac_addon.batch.choices import ENGINES
     from .options import do_frames, sample_count, scene_parser
 
     parser = scene_parser("render", "Cull a scene by its light paths and render it: pictures, states per frame and report.json.")
@@ -17,7 +16,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--engine", choices=ENGINES, default="cycles", help=engines)
     parser.add_argument("--samples", type=sample_count, metavar="N", help="per pixel (default: the scene's)")
     hybrid = parser.add_argument_group("--engine hybrid")
-    hybrid.add_argument("--gi", choices=GI, default="path", help="what paths bring: all, one bounce, no diffuse bounce, nothing (default: %(default)s)")
+    hybrid.add_argument("--gi", choices=MODES, default="path", help="what paths bring: all, one bounce, no diffuse bounce, nothing (default: %(default)s)")
     hybrid.add_argument("--primary", choices=("raster", "traced"), default="raster", help="what finds first hits; traced: no OpenGL (default: %(default)s)")
     hybrid.add_argument("--denoise", choices=("on", "off"), default="on", help="of the traced light (default: %(default)s)")
     hybrid.add_argument("--raster-samples", type=sample_count, default=8, metavar="N", help="EEVEE's samples per pixel (default: %(default)s)")

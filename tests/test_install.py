@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tomllib
 from importlib import metadata
 from pathlib import Path
 
@@ -28,6 +29,12 @@ def test_core_imports_without_bpy() -> None:
 def test_core_never_mentions_bpy_in_an_import() -> None:
     for path in (ROOT / "core").glob("**/*.py"):
         assert not re.search(r"^\s*(import|from)\s+bpy", path.read_text(), re.MULTILINE), path
+
+
+def test_every_room_is_packed() -> None:
+    """By pip; the extension's zip takes whole folders."""
+    rooms = {".".join(("lipac", *path.parent.relative_to(ROOT).parts)) for top in ("core", "lipac_addon", "scripts") for path in (ROOT / top).rglob("__init__.py")}
+    assert set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]) == rooms | {"lipac"}
 
 
 @pytest.mark.smoke

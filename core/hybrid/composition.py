@@ -29,12 +29,12 @@ from ..scene.bounds import enclosing, existing
 from ..scene.film import LUMINANCE, Picture
 from ..scene.model import Scene
 from ..tracing import path_state
+from .modes import MODES
 
 MOST_BOXES = 1 << 17  # before lamps: 14 MB of them, built in a fifth of a second
 SURE, UNSURE = 0.02, 0.03  # mean changes of a picture up to which it is nearer to the truth than a raster without paths, and from which that is asked
 CELL = 4  # pixels of an analysis' picture, each way, that are compared as one
 DEVIATIONS = 2.0  # standard ones, by which a share of paths may be too large by chance
-MODES = ("path", "diffuse-1", "reflections", "none")
 
 
 def with_mode(scene: Scene, mode: str) -> Scene:

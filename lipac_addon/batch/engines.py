@@ -21,12 +21,11 @@ from ...core.scene.model import Scene
 from ..console import muted
 from ..depsgraph import changed, rendered_layers
 from ..pictures import save_pixels, save_render_result, saved_as
+from .choices import BLENDER_ENGINES
 
 if TYPE_CHECKING:
     from ...core.culling.result import Built
 
-BLENDER_ENGINES = {"cycles": "CYCLES", "eevee": "BLENDER_EEVEE"}
-ENGINES = (*BLENDER_ENGINES, "hybrid", "path")
 HYBRID_SAMPLES = 64  # at most, where nobody says: the rest is the denoiser's
 _SAMPLE = re.compile(r"(\d+)\s*/\s*(\d+)")
 

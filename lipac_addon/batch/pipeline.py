@@ -31,8 +31,9 @@ from ..depsgraph import rendered_layers, show_frame
 from ..extract import Extraction, Extractor
 from ..keys import KEY, Keys, any_of
 from .baked import save_baked
+from .choices import BLENDER_ENGINES
 from .counting import counting
-from .engines import BLENDER_ENGINES, left_out, render_blender, render_path, samples_of
+from .engines import left_out, render_blender, render_path, samples_of
 from .hybrid_frame import HybridOptions, render_hybrid
 from .shot_set import ShotSet
 

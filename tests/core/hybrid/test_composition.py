@@ -12,7 +12,8 @@ from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
 from lipac.core.culling.result import CullingResult
 from lipac.core.errors import InputError
-from lipac.core.hybrid.composition import MODES, Light, added, boxes_before_lamps, in_question, mixture, reference, share_of_paths, with_mode
+from lipac.core.hybrid.composition import Light, added, boxes_before_lamps, in_question, mixture, reference, share_of_paths, with_mode
+from lipac.core.hybrid.modes import MODES
 from lipac.core.scene import model as s
 from lipac.core.scene.film import LUMINANCE
 from lipac.core.tracing.tracer import prepare, trace
