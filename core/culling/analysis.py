@@ -5,25 +5,30 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..accel.region_tree import FANOUT
+from ..accel.tlas import Tlas
 from ..arrays import F64, I32
 from ..error_budget.budget import Budget, Savings
 from ..error_budget.error_estimate import CONFIDENCE, NOTHING, Reference
-from ..error_budget.search import Choice, Search, refined
+from ..error_budget.search import DENSER, TRIALS, Choice, Search
+from ..error_budget.trial import Trial
 from ..error_budget.units import Units, units_of
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import TILES
+from ..feedback.tiles import TILES, marks
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
-from .certificate import Certificate, Verdict
+from .certificate import MORE, STEEPEST, Certificate, Verdict
 from .loop import Loop
-from .measurement import Measurement
+from .measurement import Measurement, Traced
 from .options import CullOptions
 from .policies import LIGHT_PATHS
 from .result import CullingResult
 
 PRICELESS = 50.0  # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with more than that
+DENSER_TIMES = 2  # that a measurement gets more paths in some tiles, at most
+DOUBTS = 2  # sets that a search gives up for noise, before it does
 ATTEMPTS = 3  # at a certificate, each with twice the paths of the one before
 
 
@@ -71,7 +76,7 @@ def by_counts(loop: Loop, measured: Measurement, min_share: float) -> CullingRes
     keep = loop.activation.pinned | (loop.activation.active & reaches(met, feedback.paths, share))
     figures: dict[str, float | int] = {}
     if loop.options.max_iterations > 1:  # else in real time, where each path counts
-        unknown = loop.unknown(measured.samples, 1)
+        unknown = loop.unknown(measured.next_sample, 1)
         figures = {"unknown_mean": float(unknown.mean()), "unknown_worst": float(unknown.max())}
     return loop.result(keep, (met / max(feedback.paths, 1)).astype(np.float32), feedback.hits, (), **figures)
 
@@ -86,21 +91,22 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that uses up the budget or all but a factor of
     options.hysteresis; else what it kept goes only where others would save so many times less for the same change.
     """
-    samples, attempts = max(loop.samples - loop.first_samples, 1), 1 if loop.limited else ATTEMPTS
+    attempts = 1 if loop.limited else ATTEMPTS
     for attempt in range(attempts):
         within = part(progress, attempt / attempts, (attempt + 1) / attempts)
+        measured, units, steps, searched = _searched(loop, measured, budget, part(within, 0.0, 0.5))
         ids = measured.tlas.ids
-        units, steps, searched = _searched(loop, measured, budget, part(within, 0.0, 0.5))
 
         def keep_of(cull: np.ndarray, units: Units = units, ids: I32 = ids) -> np.ndarray:
             return _kept(loop, units, cull, ids)
 
         loop.include(keep_of(steps[0].cull))
-        verdict = Certificate(loop, measured.samples, samples, budget).walk(refined(steps, units), units, keep_of, part(within, 0.5, 0.9))
+        sets = [step.cull for step in steps]
+        verdict = Certificate(loop, measured.next_sample, measured.samples, budget).walk(sets, units, keep_of, part(within, 0.5, 0.9))
         fruitless = verdict.cull is None or (attempt == 0 and len(steps) > 1 and not verdict.cull.any())
         if not fruitless or attempt == attempts - 1:
             break
-        measured, samples = loop.measure(None, 2 * measured.samples, part(within, 0.9, 1.0)), measured.samples
+        measured = loop.measure(None, 2 * measured.log.shape[2], part(within, 0.9, 1.0))
     return _decided(loop, measured, units, steps, verdict, searched)
 
 
@@ -118,7 +124,7 @@ def _decided(loop: Loop, measured: Measurement, units: Units, steps: list[Choice
         else:
             keep, estimate, unknown = loop.activation.exists.copy(), NOTHING, np.zeros(TILES)
             warnings.append("the error budget could not be certified: everything is kept")
-    ids, worth = measured.tlas.ids, measured.weights.relative()
+    ids, worth = measured.tlas.ids, measured.worth
     score = np.zeros(len(loop.activation), np.float32)
     score[ids] = worth.mean(axis=1)
     predicted = units.worth[cull].sum(axis=0)
@@ -139,28 +145,56 @@ def _decided(loop: Loop, measured: Measurement, units: Units, steps: list[Choice
     return loop.result(keep, score, measured.feedback.hits, tuple(warnings), **error)
 
 
-def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progress) -> tuple[Units, list[Choice], int]:
-    """Units of what was measured and of what was not met, sets of them that keep to the budget by the paths of the measurement, and how many were traced."""
+def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progress) -> tuple[Measurement, Units, list[Choice], int]:
+    """Units of what was measured and of what was not met, sets of them that keep to the budget by the paths of the measurement, and how many were traced.
+
+    Where noise alone stands between a set and the budget, all is measured by more paths in the tiles in question, and the search begins anew.
+    """
+    traced, first = 0, float(measured.samples.sum())
+    for k in range(DENSER_TIMES + 1):
+        within = part(progress, 1 - 0.5**k, 1 - 0.5 ** (k + 1))
+        units, search = _search(loop, measured, budget)
+        steps = search.run(within, DOUBTS if k < DENSER_TIMES and not loop.limited else TRIALS)
+        traced += search.traced
+        samples = measured.samples
+        more = np.where(search.doubted, np.minimum((DENSER - 1) * samples, STEEPEST * samples.min()), 0)
+        more = (more * min(((1 + MORE) * first - samples.sum()) / max(more.sum(), 1), 1.0)).astype(np.int64)
+        if k == DENSER_TIMES or loop.limited or not more.any():
+            break
+        measured = loop.measure_denser(measured, more)
+    return measured, units, steps, traced
+
+
+def _search(loop: Loop, measured: Measurement, budget: Budget) -> tuple[Units, Search]:
+    """The units of a measurement, and a search among them."""
     ids = measured.tlas.ids
     with loop.timer.step("feedback_s"):
+        worth = measured.worth
         reluctance = np.where(loop.activation.kept[ids], loop.options.hysteresis, 1.0)
         savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.counted_bytes, reluctance)
-        worth = measured.weights.relative()
         must = loop.activation.pinned.copy()
         must[ids[(worth > PRICELESS).any(axis=1)]] = True
-        units = units_of(loop.activation.regions, ids, measured.log.paths_met(len(ids)), worth, must)
-        reference = Reference(measured.log, light=_light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64)))
-        log, trial = measured.log.copy(), PathLog.zeros(*measured.log.shape)
+        units = units_of(loop.activation.regions, ids, measured.paths_met(), worth, must)
+    built: list[tuple[np.ndarray, np.ndarray, Tlas]] = []  # the set that is tried: all trials share it
 
-    def without(cull: np.ndarray, only: np.ndarray) -> PathLog:
-        keep = np.zeros(len(loop.activation), bool)
-        keep[ids[~cull]] = True
-        loop.tracer.trace_without(measured.tlas, measured.first_sample, keep, only, trial)
-        return trial
+    def trial(traced: Traced, light: F64 | None) -> Trial:
+        height, width, _ = traced.log.shape
+        only, buffer = marks(traced.samples, height, width), PathLog.zeros(*traced.log.shape)
 
-    search = Search(reference, log, without, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
-    steps = search.run(progress)
-    return units, steps, search.traced
+        def without(cull: np.ndarray, paths: NDArray[np.uint8]) -> PathLog:
+            if not built or (built[0][0] != cull).any():
+                keep = np.zeros(len(loop.activation), bool)
+                keep[ids[~cull]] = True
+                built[:] = [(cull, keep, loop.tracer.build(keep))]
+            _, keep, tlas = built[0]
+            loop.tracer.trace_without(measured.tlas, traced.first_sample, keep, tlas, paths, buffer)
+            return buffer
+
+        return Trial(Reference(traced.log, only, light), traced.log.copy(only), without, only)
+
+    light = _light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64))
+    trials = [trial(traced, None if k else light) for k, traced in enumerate(measured.traced)]
+    return units, Search(trials, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
 
 
 def _kept(loop: Loop, units: Units, cull: np.ndarray, ids: I32) -> np.ndarray:

@@ -1,7 +1,8 @@
 """A certificate: how much culling changes a picture, by paths that chose nothing of what is culled.
 
 A search proposes a sequence of sets, each culling more than the one before. Fresh paths, through the full scene as far as they need it, walk down that
-sequence. Tested in a fixed order, no set needs a correction for the others (hierarchical testing, Maurer et al. 1995). Where only chance stands between a set
+sequence, step by step. Tested in a fixed order, no set needs a correction for the others (hierarchical testing, Maurer et al. 1995); a step that fails is
+walked in pieces, which is a second such test, and both share the doubt. Where only chance stands between a set
 and the budget, more paths are traced in the tiles that doubt it, at most LOOKS times; each look has its share of the doubt. A tile that a set may change too
 much is full: nothing else is culled that is worth anything to it, and the walk goes on for the others.
 """
@@ -14,23 +15,36 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import F64
+from ..accel.tlas import Tlas
+from ..arrays import F64, I64
 from ..error_budget.budget import Budget
-from ..error_budget.error_estimate import CONFIDENCE, NOTHING, Difference, ErrorEstimate, Light, Reference
+from ..error_budget.error_estimate import CONFIDENCE, NOTHING, ErrorEstimate, Light, Reference
+from ..error_budget.search import pieces
+from ..error_budget.trial import Trial
 from ..error_budget.units import Units
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import TILES, tiles_of
+from ..feedback.tiles import TILES, marks
 from ..progress import Progress, part, silent
 from .loop import Loop
 from .measurement import Witness
 
-LOOKS = 10  # in all, each doubles the paths of the tiles in doubt
+LOOKS = 6  # in all, each doubles the paths of the tiles in doubt
 DENSEST = 16  # times the paths of a first look, in a tile at most
 MORE = 1.0  # paths in doubtful tiles in all, to those that were traced everywhere
 STEEPEST = 4  # times the paths per pixel of a first look that are traced at once, at most
 FAILURES = 12  # sets that may break the budget before the walk ends
+LEVELS = 2  # sets in steps, and pieces of a step that fails: two tests of what may be too much
 TOLERATED = 0.05  # of the budget, in the mean and in every tile: what may stay unknown
 NEGLIGIBLE = 0.01  # of the bound of a tile: units worth less to a full one may still go
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A set of units, (U,) bool; the instances that it leaves, (N,) bool; the change by it."""
+
+    cull: np.ndarray
+    keep: np.ndarray
+    estimate: ErrorEstimate
 
 
 @dataclass(frozen=True)
@@ -52,10 +66,12 @@ class Verdict:
 class Certificate:
     """Paths that judge the sets of a sequence."""
 
-    def __init__(self, loop: Loop, first_sample: int, samples: int, budget: Budget, confidence: float = CONFIDENCE) -> None:
-        """first_sample, samples: of the paths traced in every pixel; the numbers behind these are taken too. confidence: that both bounds hold."""
+    def __init__(self, loop: Loop, first_sample: int, samples: I64, budget: Budget, confidence: float = CONFIDENCE) -> None:
+        """first_sample, samples: of the first paths, so many per pixel of each tile, (T,); the numbers behind these are taken too. confidence: that both bounds
+        hold.
+        """
         self.loop, self.next_sample, self.samples, self.budget = loop, first_sample, samples, budget
-        self.each = 1 - (1 - confidence) / LOOKS  # look
+        self.each = 1 - (1 - confidence) / (LOOKS * LEVELS)
         self.paths = self._again = 0  # traced in all, and in doubtful tiles
         self._layers: list[_Layer] = []
 
@@ -66,32 +82,40 @@ class Certificate:
         Raises Cancelled.
         """
         full = np.zeros(TILES, bool)
-        certain, failed = NOTHING, 0
-        accepted: np.ndarray | None = None
-        keep = np.zeros(0, bool)
+        failed = 0
+        accepted: Accepted | None = None
         for k, cull in enumerate(sets):
             within = part(progress, 1 - 0.9**k, 1 - 0.9 ** (k + 1), "certifying, ")
-            before = np.zeros(len(units), bool) if accepted is None else accepted
             while True:
+                before = np.zeros(len(units), bool) if accepted is None else accepted.cull
                 new = cull & ~before
                 new[new] = (units.worth[new][:, full] <= NEGLIGIBLE * self.budget.worst).all(axis=1)
                 if accepted is not None and not new.any():
                     break
-                proposed = keep_of(before | new)
-                estimate = self._judged(proposed, within)
-                if estimate.surely_holds(self.budget, self.each):
-                    self._accept()
-                    accepted, certain, keep = before | new, estimate, proposed
+                whole = before | new
+                for proposed in (whole, *(pieces(before, whole, units) if accepted is not None else ())):
+                    keep = keep_of(proposed)
+                    estimate = self._judged(keep, within)
+                    holds = estimate.surely_holds(self.budget, self.each)
+                    if holds:
+                        self._accept()
+                        accepted = Accepted(proposed, keep, estimate)
+                    else:
+                        failing = estimate
+                    if holds == (proposed is whole):  # all of it, or the first piece too many
+                        break
+                if accepted is not None and accepted.cull is whole:
                     break
                 failed += 1
-                exceeded = estimate.exceeded(self.budget, self.each) & ~full
+                exceeded = failing.exceeded(self.budget, self.each) & ~full
                 if accepted is None or failed > FAILURES or not exceeded.any():
-                    certain, keep = (certain, keep) if accepted is not None else (estimate, proposed)
-                    return self._verdict(accepted, keep, certain)
+                    return self._verdict(accepted, keep, estimate)
                 full |= exceeded
-        return self._verdict(accepted, keep, certain)
+        return self._verdict(accepted, np.zeros(0, bool), NOTHING)
 
-    def _verdict(self, cull: np.ndarray | None, keep: np.ndarray, estimate: ErrorEstimate) -> Verdict:
+    def _verdict(self, accepted: Accepted | None, keep: np.ndarray, estimate: ErrorEstimate) -> Verdict:
+        """keep, estimate: of the set that was judged last, where none was accepted."""
+        cull, keep, estimate = (None, keep, estimate) if accepted is None else (accepted.cull, accepted.keep, accepted.estimate)
         return Verdict(cull, keep, estimate, 0.5 * (1 + self.each), self._unknown, self.paths)
 
     @property
@@ -105,30 +129,30 @@ class Certificate:
     def _judged(self, keep: np.ndarray, progress: Progress) -> ErrorEstimate:
         """The change by a set, (N,) bool of what stays, with as many looks as it takes to be sure, or that there are left."""
         if not self._layers:
-            self._add(np.full(TILES, self.samples), progress)
-        estimate = self._estimate(keep)
+            self._add(self.samples, progress)
+        tlas = self.loop.tracer.build(keep)
+        estimate = self._estimate(keep, tlas)
         while not estimate.surely_holds(self.budget, self.each) and self._look_again(estimate, progress):
-            estimate = self._estimate(keep)
+            estimate = self._estimate(keep, tlas)
         return estimate
 
-    def _estimate(self, keep: np.ndarray) -> ErrorEstimate:
+    def _estimate(self, keep: np.ndarray, tlas: Tlas) -> ErrorEstimate:
         for layer in self._layers:
-            self.paths += layer.propose(self.loop, keep)
-        difference = sum((layer.proposed for layer in self._layers[1:]), self._layers[0].proposed)
+            self.paths += layer.propose(keep, tlas)
+        difference = sum((layer.trial.trace() for layer in self._layers[1:]), self._layers[0].trial.trace())
         return self._light.estimate(difference, self._unknown)
 
     def _accept(self) -> None:
         for layer in self._layers:
-            layer.accept()
+            layer.trial.accept()
 
-    def _add(self, samples: np.ndarray, progress: Progress) -> None:
+    def _add(self, samples: I64, progress: Progress) -> None:
         """Trace so many more paths per pixel, (T,), in each tile."""
         width, height = self.loop.size
-        most = int(samples.max())
-        only = (np.arange(most) < samples[tiles_of(height, width)][..., None]).astype(np.uint8)
+        only = marks(samples, height, width)
         tolerated = Budget(TOLERATED * self.budget.mean, TOLERATED * self.budget.worst)
         witness = self.loop.witness(self.next_sample, only, tolerated, progress)
-        self.next_sample += most
+        self.next_sample += only.shape[2]
         self.paths += int(np.count_nonzero(only))
         self._layers.append(_Layer(self.loop, witness, only))
 
@@ -138,8 +162,8 @@ class Certificate:
             return False
         first, paths = self._layers[0].reference.paths, self._light.paths
         tiles = estimate.doubtful(self.budget, self.each) & (paths < DENSEST * first)
-        samples = np.where(tiles, np.minimum(paths / np.maximum(first, 1), STEEPEST) * self.samples, 0).astype(np.int64)
-        cost = int((first * samples).sum()) // self.samples
+        samples = np.where(tiles, (np.minimum(paths / np.maximum(first, 1), STEEPEST) * self.samples).astype(np.int64), 0)
+        cost = int((first / self.samples * samples).sum())
         if not tiles.any() or self._again + cost > MORE * first.sum() or not estimate.may_hold(self.budget, self.each, DENSEST * first / paths):
             return False
         self._again += cost
@@ -148,33 +172,21 @@ class Certificate:
 
 
 class _Layer:
-    """Paths of one look: the set that was accepted last, and the one that is proposed."""
+    """Paths of one look."""
 
     def __init__(self, loop: Loop, witness: Witness, only: NDArray[np.uint8]) -> None:
-        self.witness, self._log, self._only = witness, witness.log, only
+        self._loop, self.witness = loop, witness
         light = witness.light if any(hits.lamps_known for hits in loop.scene.first_hits.values()) else None
         self.reference = Reference(witness.log, only, light)
-        self._trial = PathLog.zeros(*only.shape)
-        self._culled = self._proposed_cull = np.zeros(len(witness.tlas), bool)
-        self._accepted: Difference = self.reference.nothing
-        self.proposed, self._changed = self._accepted, np.zeros(only.shape, np.uint8)
+        self.trial = Trial(self.reference, witness.log, self._without, only)
+        self._buffer = PathLog.zeros(*only.shape)
+        self._keep, self._tlas = loop.activation.exists, witness.tlas
 
-    def propose(self, loop: Loop, keep: np.ndarray) -> int:
-        """What paths differ by at a set, (N,) bool of what stays, that culls what was accepted and more. Returns how many paths were traced for it."""
-        cull = ~keep[self.witness.tlas.ids]
-        if (cull == self._proposed_cull).all():
-            return 0
-        self._proposed_cull = cull
-        self._changed = self._log.affected(cull & ~self._culled, self._only)
-        count = int(np.count_nonzero(self._changed))
-        self.proposed = self._accepted
-        if count:
-            loop.tracer.trace_without(self.witness.tlas, self.witness.first_sample, keep, self._changed, self._trial)
-            self.proposed = self.reference.compare(self._changed, self._trial.color, self._log, self._accepted)
-        return count
+    def propose(self, keep: np.ndarray, tlas: Tlas) -> int:
+        """A set, (N,) bool of what stays, in tlas, that culls what was accepted and more. Returns how many paths are traced for it."""
+        self._keep, self._tlas = keep, tlas
+        return self.trial.propose(~keep[self.witness.tlas.ids])
 
-    def accept(self) -> None:
-        """Go on from the set that was proposed."""
-        if self._culled is not self._proposed_cull:
-            self._log.update(self._changed, self._trial)
-            self._culled, self._accepted = self._proposed_cull, self.proposed
+    def _without(self, cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
+        self._loop.tracer.trace_without(self.witness.tlas, self.witness.first_sample, self._keep, self._tlas, only, self._buffer)
+        return self._buffer

@@ -133,18 +133,17 @@ class FrameTracer:
             picture = self._trace(self.with_only_emitters(keep), tlas, only.shape[2], first_sample, None, progress, self.size, log, only)
         return picture.mean, log.color
 
-    def trace_without(self, full: Tlas, first_sample: int, keep: np.ndarray, only: NDArray[np.uint8], log: PathLog, progress: Progress = silent) -> None:
-        """Into log what those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with only keep (N,) bool in the scene, by the
-        numbers of the entries of full.
+    def trace_without(self, full: Tlas, first_sample: int, keep: np.ndarray, tlas: Tlas, only: NDArray[np.uint8], log: PathLog) -> None:
+        """Into log what those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with only keep (N,) bool in the scene, which
+        tlas holds, by the numbers of the entries of full.
 
         The other paths of the log stay as they are.
         """
-        tlas = self.build(keep)
         with self.timer.step("trace_s"):
             records = log.records.reshape(-1, RECORD)
             records[np.flatnonzero(only), 0] = 0
             feedback = Feedback.zeros(len(self.scene.instances))  # without which paths are not recorded
-            self._trace(self.with_only_emitters(keep), tlas, only.shape[2], first_sample, feedback, progress, self.size, log, only)
+            self._trace(self.with_only_emitters(keep), tlas, only.shape[2], first_sample, feedback, silent, self.size, log, only)
             renumber(records, only.reshape(-1), places(full.ids, tlas.ids))
 
     def with_only_emitters(self, keep: np.ndarray) -> Prepared:

@@ -23,14 +23,14 @@ from ..arrays import F32, F64, I64
 from ..error_budget.budget import Budget
 from ..feedback.hits import Weights
 from ..feedback.path_log import RECORD, PathLog, renumber
-from ..feedback.tiles import DARK
+from ..feedback.tiles import DARK, TILES, marks, tiles_of
 from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
 from ..scene.model import Scene
 from .activation import SETTLED, Activation
 from .frame_tracer import FrameTracer, places
-from .measurement import Measurement, Witness
+from .measurement import Measurement, Traced, Witness
 from .options import CullOptions, State
 from .result import Built, CullingResult, structure_figures
 from .twins import Twins
@@ -153,7 +153,22 @@ class Loop:
         weights, log = Weights.zeros(len(tlas), self.ambient), PathLog.zeros(self.size[1], self.size[0], samples or self.first_samples)
         prepared = self.tracer.with_only_emitters(built)
         feedback, _ = self.tracer.count(prepared, tlas, log.shape[2], 0, weights=weights, progress=progress, log=log)
-        self.measured = Measurement(tlas, feedback, weights, log, 0, self.tracer.prepared.emissive)
+        traced = Traced(log, 0, np.full(TILES, log.shape[2]))
+        self.measured = Measurement(tlas, feedback, weights, (traced,), self.tracer.prepared.emissive)
+        return self.measured
+
+    def measure_denser(self, measured: Measurement, samples: I64, progress: Progress = silent) -> Measurement:
+        """A measurement with so many more paths per pixel of each tile, (T,); the old one's weights become its own."""
+        only = marks(samples, self.size[1], self.size[0])
+        log, first = PathLog.zeros(*only.shape), measured.next_sample
+        built = np.zeros(len(self.activation), bool)
+        built[measured.tlas.ids] = True
+        prepared = self.tracer.with_only_emitters(built)
+        feedback, _ = self.tracer.count(prepared, measured.tlas, only.shape[2], first, None, measured.weights, progress, log=log, only=only)
+        met = np.flatnonzero(measured.feedback.hits.any(axis=1))
+        feedback.hits[met] += measured.feedback.hits[met]
+        feedback.paths += measured.feedback.paths
+        self.measured = dataclasses.replace(measured, feedback=feedback, traced=(*measured.traced, Traced(log, first, samples)))
         return self.measured
 
     def witness(self, first_sample: int, only: NDArray[np.uint8], tolerated: Budget, progress: Progress = silent) -> Witness:
@@ -163,6 +178,8 @@ class Loop:
         limited.
         """
         log, prepared = PathLog.zeros(*only.shape), self.tracer.prepared
+        tile = tiles_of(*only.shape[:2]).ravel()
+        samples = np.maximum(np.bincount(tile, only.sum(axis=2).ravel(), TILES) / np.maximum(np.bincount(tile, minlength=TILES), 1), 1.0)
         records = log.records.reshape(-1, RECORD)
         before: Tlas | None = None
         light: I64 = np.zeros(0, np.int64)
@@ -176,7 +193,7 @@ class Loop:
             weights = Weights.zeros(1, self.ambient, first=len(tlas))
             feedback, _ = self.tracer.count(prepared, tlas, only.shape[2], first_sample, boxes, weights, log=log, only=only)
             light = light if k else weights.total
-            unknown = dataclasses.replace(weights, total=light).relative()[0]  # of tiles without paths 0
+            unknown = dataclasses.replace(weights, total=light).relative(samples)[0]  # of tiles without paths 0
             within = unknown.mean() <= tolerated.mean and unknown.max() <= tolerated.worst
             if within or self.limited or not self.activation.open_crossed_boxes(cut, feedback, prepared.emissive):
                 break

@@ -13,20 +13,47 @@ from ..feedback.path_log import PathLog
 
 
 @dataclass(frozen=True)
+class Traced:
+    """What paths met, the number of their first sample, and how many there are per pixel of each tile, (T,)."""
+
+    log: PathLog
+    first_sample: int
+    samples: I64
+
+
+@dataclass(frozen=True)
 class Measurement:
-    """Feedback of a trace of candidates, what each of its paths met, and the number of its first sample. emissive: (E,) emitters, built or not."""
+    """Feedback of a trace of candidates, and what its paths met: those that are everywhere, then more in some tiles. emissive: (E,) emitters, built or not."""
 
     tlas: Tlas
     feedback: Feedback
     weights: Weights
-    log: PathLog
-    first_sample: int
+    traced: tuple[Traced, ...]
     emissive: I64
 
     @property
-    def samples(self) -> int:
-        """Paths per pixel."""
-        return self.log.shape[2]
+    def log(self) -> PathLog:
+        """Of the paths that are everywhere."""
+        return self.traced[0].log
+
+    @property
+    def next_sample(self) -> int:
+        """The number behind its last sample."""
+        return self.traced[-1].first_sample + self.traced[-1].log.shape[2]
+
+    @property
+    def samples(self) -> I64:
+        """(T,) paths per pixel of each tile."""
+        return np.asarray(np.sum([t.samples for t in self.traced], axis=0))
+
+    @property
+    def worth(self) -> F64:
+        """(A, T) of each TLAS entry, relative to each tile's light."""
+        return self.weights.relative(self.samples)
+
+    def paths_met(self) -> I64:
+        """(A,) how many paths met each TLAS entry."""
+        return np.asarray(np.sum([t.log.paths_met(len(self.tlas)) for t in self.traced], axis=0))
 
     @property
     def met(self) -> I64:

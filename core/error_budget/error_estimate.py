@@ -212,20 +212,19 @@ class Reference:
         squares = [(now @ LUMINANCE) ** 2 - (then @ LUMINANCE) ** 2, (now**2 - then**2).mean(axis=1)]
         return already + Difference(pixels, np.stack([np.bincount(self.tile[pixel], square, TILES) for square in squares]))
 
-    def sizes_by_unit(self, unit: I32, culled: np.ndarray, only: np.ndarray, color: F32, before: PathLog, deviations: float) -> F64:
-        """What each of the culled units, (U,) bool with C of them, changed alone, with so many standard deviations on top: (C, T) float64, relative to each
-        tile, by the paths that met an entry of it before any other of them. unit: (A,) of each TLAS entry. The rest as in `compare`.
+    def changes_by_unit(self, unit: I32, culled: np.ndarray, only: np.ndarray, color: F32, before: PathLog, light: Light) -> tuple[F64, F64]:
+        """What each of the culled units, (U,) bool with C of them, changed alone, by the paths that met an entry of it before any other of them: sums, and of
+        squares, (C, T) float64, relative to a light. unit: (A,) of each TLAS entry. The rest as in `compare`.
         """
         paths = np.flatnonzero(only.reshape(-1))
         tile = self.tile[paths // self.samples]
         number = np.where(culled, np.cumsum(culled) - 1, -1)
         change, squares = np.zeros((2, int(culled.sum()), TILES))
         step = (color.reshape(-1, 3)[paths] - before.color.reshape(-1, 3)[paths]).astype(np.float64)
-        light = Light.of(self)
         luminance, colored = step @ LUMINANCE / light.luminance[tile], np.sqrt((step**2).mean(axis=1)) / light.brightness[tile]
         size = np.where(np.abs(luminance) >= colored, luminance, colored)
         put_down(before.records.reshape(-1, RECORD), paths, np.append(number[unit], -1), tile, size, change, squares)
-        return np.asarray(np.abs(change) + deviations * np.sqrt(squares))
+        return change, squares
 
 
 @dataclass(frozen=True)

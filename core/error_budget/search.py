@@ -8,18 +8,17 @@ A search finds a sequence of sets, each larger than the one before. How far down
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import F64
-from ..feedback.path_log import PathLog
+from ..feedback.tiles import TILES
 from ..progress import Progress, silent
 from .budget import Budget, Savings, select
-from .error_estimate import NOTHING, Difference, ErrorEstimate, Light, Reference
+from .error_estimate import NOTHING, ErrorEstimate, Light
+from .trial import Trial
 from .units import Units
 
 TRIALS = 64  # at most
@@ -28,20 +27,17 @@ WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are wid
 DEVIATIONS = 2.0  # standard deviations of its measurement that are added to what a unit of a failed trial is worth, and to what a tile has used up
 LIKELY = 0.8  # confidence that sets of a search keep to the budget, by its own paths
 SHARE = 0.5  # of what is left of the budget: what a set may add to the one before, so that the sequence has small steps where the budget ends
-PIECES = 4  # that a step of a sequence is judged in
+PIECES = 4  # that a step of a sequence is judged in, where it breaks the budget as a whole
 AIM = 0.95  # of the budget: what selections are to use up. The rest of it is always taken to be left, for what they are worth is but predicted
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement
+DENSER = 4.0  # times the paths that may be traced in tiles where noise alone stands between a set and the budget
 UNMET = (0.1, 0.3)  # of the budget: what may be owed to units that no path met, at the first sets of a sequence
-
-Without = Callable[[np.ndarray, NDArray[np.uint8]], PathLog]
-
 
 @dataclass(frozen=True)
 class Choice:
-    """A set that was tried, (U,) bool, and what was measured: what paths differ by, and the error by that."""
+    """A set that was tried, (U,) bool, and the error that was measured."""
 
     cull: np.ndarray
-    difference: Difference
     estimate: ErrorEstimate
 
 
@@ -50,9 +46,7 @@ class Search:
 
     def __init__(
         self,
-        reference: Reference,
-        log: PathLog,
-        without: Without,
+        trials: Sequence[Trial],
         units: Units,
         savings: Savings,
         budget: Budget,
@@ -61,22 +55,23 @@ class Search:
         paths: float = PATHS,
         confidence: float = LIKELY,
     ) -> None:
-        """log: of the reference; becomes that of the last set. without: log of the paths (H, W, S) that its second argument marks, without the entries that its
-        first, (A,) bool, culls; valid there, and until it is called again.
+        """trials: paths of the measurement.
 
         before: (U,) bool, what was culled in the last frame: where that keeps to the budget no less is culled, and no more either where it uses up all but a
-        factor of hysteresis. paths: traced by all trials together at most, to those of the log. confidence: of each set by these paths.
+        factor of hysteresis. paths: traced by all trials together at most, to those of the measurement. confidence: of each set by these paths.
         """
-        self.reference, self.log, self.without, self.units, self.savings, self.budget = reference, log, without, units, savings, budget
+        self.trials, self.units, self.savings, self.budget = trials, units, savings, budget
         self.worth: F64 = units.worth.copy()
-        self.light = Light.of(reference)
+        self.light = Light.of(*(trial.reference for trial in trials))
         self.before, self.hysteresis, self.confidence = before, hysteresis, confidence
-        self.allowed = int(paths * np.prod(log.shape))
+        self.allowed = int(paths * self.light.paths.sum())
         self.traced = 0
+        self._doubts = 0
+        self.doubted = np.zeros(TILES, bool)  # tiles that more paths might show to hold a set that was given up
 
-    def run(self, progress: Progress = silent) -> list[Choice]:
+    def run(self, progress: Progress = silent, doubts: int = TRIALS) -> list[Choice]:
         """The sets found, each a part of the next. Beginning with what no path meets, more and more is culled: what is predicted to fit the rest of the
-        budget.
+        budget. Ends early where so many sets were given up that more paths might show to hold: `doubted`.
         """
         steps, again = self._first()
         share, failed = SHARE, 0
@@ -86,7 +81,7 @@ class Search:
         for k in range(TRIALS):
             best = steps[-1]
             progress(k / TRIALS, f"{self._staying(best):,} instances stay")
-            more = None if failed >= PATIENCE or best.cull.all() else self._more(best, share, tried)
+            more = None if failed >= PATIENCE or self._doubts >= doubts or best.cull.all() else self._more(best, share, tried)
             if more is None:
                 break
             tried.add(more.tobytes())
@@ -108,7 +103,7 @@ class Search:
 
         Whether it is the first of these.
         """
-        nothing = Choice(np.zeros(len(self.units), bool), self.reference.nothing, NOTHING)
+        nothing = Choice(np.zeros(len(self.units), bool), NOTHING)
         if self.before is not None:
             choice = self._try(self.before & np.isfinite(self.worth).all(axis=1), nothing)
             if choice is not None:
@@ -148,35 +143,35 @@ class Search:
         same, and known better than it was predicted.
         """
         new = cull & ~already.cull
-        only = self.log.affected(self.units.entries(new))
-        paths = int(np.count_nonzero(only))
+        entries = self.units.entries(cull)
+        paths = sum(trial.propose(entries) for trial in self.trials)
         if self.traced + paths > self.allowed:
             return None
         self.traced += paths
-        after = self.without(self.units.entries(cull), only) if paths else self.log
-        difference = self.reference.compare(only, after.color, self.log, already.difference)
-        choice = Choice(cull, difference, self.light.estimate(difference, self.units.owed(cull)))
+        difference = sum((trial.trace() for trial in self.trials[1:]), self.trials[0].trace())
+        choice = Choice(cull, self.light.estimate(difference, self.units.owed(cull)))
         if choice.estimate.excess(self.budget, self.confidence) <= 1:
-            self.log.update(only, after)
+            for trial in self.trials:
+                trial.accept()
             return choice
+        if choice.estimate.may_hold(self.budget, self.confidence, np.full(TILES, DENSER)):
+            self._doubts += 1
+            self.doubted |= choice.estimate.doubtful(self.budget, self.confidence)
         new[self.units.with_entries :] = False
-        self.worth[new] = self.reference.sizes_by_unit(self.units.of_entry, new, only, after.color, self.log, DEVIATIONS)
+        change, squares = (np.sum(x, axis=0) for x in zip(*(trial.changes_by_unit(self.units.of_entry, new, self.light) for trial in self.trials), strict=True))
+        self.worth[new] = np.abs(change) + DEVIATIONS * np.sqrt(squares)
         return None
 
 
-def refined(steps: list[Choice], units: Units) -> list[np.ndarray]:
-    """Sets of units, (U,) bool, of a sequence, and between each two of them sets that add a PIECES-th of what lies between, the least worth first."""
-    out = [steps[0].cull]
-    for before, step in itertools.pairwise(steps):
-        new = np.flatnonzero(step.cull & ~before.cull)
-        new = new[np.argsort(units.worth[new].sum(axis=1) / np.maximum(units.members[new], 1), kind="stable")]
-        upto = np.cumsum(units.worth[new].sum(axis=1))
-        for piece in range(1, PIECES):
-            added = new[upto <= upto[-1] * piece / PIECES] if len(new) else new
-            cull = before.cull.copy()
-            cull[added] = True
-            if (cull != out[-1]).any():
-                out.append(cull)
-        if (step.cull != out[-1]).any():
-            out.append(step.cull)
+def pieces(before: np.ndarray, cull: np.ndarray, units: Units) -> list[np.ndarray]:
+    """Sets between two, (U,) bool, the first a part of the second: each adds a PIECES-th of what lies between them, the least worth first."""
+    new = np.flatnonzero(cull & ~before)
+    new = new[np.argsort(units.worth[new].sum(axis=1) / np.maximum(units.members[new], 1), kind="stable")]
+    upto = np.cumsum(units.worth[new].sum(axis=1))
+    out: list[np.ndarray] = []
+    for piece in range(1, PIECES):
+        between = before.copy()
+        between[new[upto <= upto[-1] * piece / PIECES] if len(new) else new] = True
+        if (between != (out[-1] if out else before)).any() and (between != cull).any():
+            out.append(between)
     return out

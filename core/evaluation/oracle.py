@@ -17,6 +17,7 @@ from ..arrays import F64, I32
 from ..error_budget.budget import ENTRY_BYTES, Budget, Savings
 from ..error_budget.error_estimate import CONFIDENCE
 from ..error_budget.search import Search
+from ..error_budget.trial import Trial
 from ..error_budget.units import Units
 from ..feedback.path_log import PathLog
 from ..progress import Progress, part, silent
@@ -47,13 +48,15 @@ def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterab
         return keep
 
     def without(cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
-        judge.loop.tracer.trace_without(judge.tlas, judge.first_sample, kept(cull), only, trial)
+        keep = kept(cull)
+        judge.loop.tracer.trace_without(judge.tlas, judge.first_sample, keep, judge.loop.tracer.build(keep), only, trial)
         return trial
 
     def thinned_out(first: np.ndarray | None, progress: Progress) -> np.ndarray:
         for share in SHARES:  # a search adds the confidence of its measurement to the tiles alone, not to their mean
             within = Budget(share * budget.mean, budget.worst)
-            found = Search(judge.reference, judge.log.copy(), without, units, savings, within, first, paths=PATHS, confidence=CONFIDENCE).run(progress)
+            paths = Trial(judge.reference, judge.log.copy(np.ones(judge.log.shape, np.uint8)), without)
+            found = Search([paths], units, savings, within, first, paths=PATHS, confidence=CONFIDENCE).run(progress)
             keep = kept(found[-1].cull)
             if judge.change(keep).surely_holds(budget):
                 return keep

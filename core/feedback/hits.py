@@ -52,13 +52,14 @@ class Weights:
         return Weights(np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED, first)
 
 
-    def relative(self) -> F64:
-        """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64.
+    def relative(self, samples: F64 | I64 | int = 1) -> F64:
+        """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64. samples: paths per pixel of each tile, (T,), where tiles
+        differ in that.
 
         Tiles darker than DARK times the mean are judged against that.
         """
         total = self.total.astype(np.float64)
-        return self.light / np.maximum(total, max(DARK * total.mean(), 1.0))
+        return self.light / np.maximum(total, np.maximum(DARK * (total / samples).mean() * samples, 1.0))
 
 
 @dataclass

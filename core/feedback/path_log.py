@@ -41,9 +41,11 @@ class PathLog:
         """Nothing traced yet."""
         return PathLog(np.zeros((height, width, samples, RECORD), np.int32), np.zeros((height, width, samples, 3), np.float32))
 
-    def copy(self) -> PathLog:
-        """A deep copy."""
-        return PathLog(self.records.copy(), self.color.copy())
+    def copy(self, only: NDArray[np.uint8]) -> PathLog:
+        """A copy of the paths that only, (H, W, S), marks. The others take no memory."""
+        out = PathLog.zeros(*self.shape)
+        out.update(only, self)
+        return out
 
 
     def update(self, only: NDArray[np.uint8], other: PathLog) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import F32, F64
+from ..arrays import F32, F64, I64
 from ..scene.film import LUMINANCE
 
 COLUMNS, ROWS = 16, 9
@@ -24,3 +24,8 @@ def tile_means(picture: F32) -> F64:
     luminance = picture[..., :3].astype(np.float64) @ LUMINANCE
     tile = tiles_of(*luminance.shape).ravel()
     return np.bincount(tile, luminance.ravel(), TILES) / np.maximum(np.bincount(tile, minlength=TILES), 1)
+
+
+def marks(samples: I64, height: int, width: int) -> NDArray[np.uint8]:
+    """(height, width, S) 1 for each of so many paths per pixel, (TILES,), in each tile: the first ones of S, the most that a tile has."""
+    return (np.arange(int(samples.max())) < samples[tiles_of(height, width)][..., None]).astype(np.uint8)

@@ -12,6 +12,7 @@ from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.error_budget.units import Units
 from lipac.core.evaluation.judge import Judge
+from lipac.core.feedback.tiles import TILES
 from lipac.core.scene import model as s
 
 from .. import scenes
@@ -83,9 +84,9 @@ def test_colours_of_equal_luminance_are_kept() -> None:
 def certified(loop: Loop, keeps: list[np.ndarray], budget: Budget, samples: int = 8) -> Verdict:
     """Of a sequence of sets, each unit an instance."""
     n = len(loop.activation)
-    units = Units.single(np.zeros((n, 144)))
+    units = Units.single(np.zeros((n, TILES)))
     loop.include(keeps[0])
-    return Certificate(loop, 0, samples, budget).walk([~keep for keep in keeps], units, lambda cull: ~cull)
+    return Certificate(loop, 0, np.full(TILES, samples), budget).walk([~keep for keep in keeps], units, lambda cull: ~cull)
 
 
 def test_it_sees_what_was_never_built_and_agrees_with_brute_force() -> None:
@@ -122,10 +123,10 @@ def test_it_stops_where_the_budget_may_break_and_goes_on_for_other_tiles() -> No
     n = len(scene.instances)
     order = [4, 3, 1, 2]  # instance 3 is the large one
     keeps = [np.isin(np.arange(n), order[:k], invert=True) for k in range(len(order) + 1)]
-    worth = np.zeros((n, 144))
+    worth = np.zeros((n, TILES))
     worth[3] = np.abs(Judge(scene, 16).change(np.arange(n) != 3).tiles)
     loop.include(keeps[0])
-    verdict = Certificate(loop, 0, 16, Budget(0.05, 0.2)).walk([~keep for keep in keeps], Units.single(worth), lambda cull: ~cull)
+    verdict = Certificate(loop, 0, np.full(TILES, 16), Budget(0.05, 0.2)).walk([~keep for keep in keeps], Units.single(worth), lambda cull: ~cull)
     assert verdict.cull is not None
     assert np.flatnonzero(verdict.cull).tolist() == [1, 2, 4]
     assert verdict.estimate.surely_holds(Budget(0.05, 0.2))

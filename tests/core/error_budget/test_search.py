@@ -13,7 +13,8 @@ from lipac.core.culling.measurement import Measurement
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget, Savings
 from lipac.core.error_budget.error_estimate import Light, Reference
-from lipac.core.error_budget.search import LIKELY, Choice, Search, refined
+from lipac.core.error_budget.search import LIKELY, Search, pieces
+from lipac.core.error_budget.trial import Trial
 from lipac.core.error_budget.units import Units
 from lipac.core.feedback.path_log import RECORD, PathLog
 from lipac.core.feedback.tiles import TILES
@@ -36,6 +37,10 @@ def cull_some(loop: Loop, m: Measurement, seed: int) -> tuple[np.ndarray, np.nda
     return cull, keep
 
 
+def everything_of(log: PathLog) -> PathLog:
+    return log.copy(np.ones(log.shape, np.uint8))
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_paths_that_met_nothing_culled_do_not_change(measured: tuple[Loop, Measurement], seed: int) -> None:
     """Bit for bit; and those that are traced again alone come out as in a trace of all."""
@@ -43,9 +48,9 @@ def test_paths_that_met_nothing_culled_do_not_change(measured: tuple[Loop, Measu
     cull, keep = cull_some(loop, m, seed)
     only = m.log.affected(cull)
     assert 0 < only.mean() < 1
-    everything = loop.tracer.trace_paths(keep, m.first_sample, np.ones_like(only))[1]
+    everything = loop.tracer.trace_paths(keep, m.traced[0].first_sample, np.ones_like(only))[1]
     np.testing.assert_array_equal(everything[only == 0], m.log.color[only == 0])
-    np.testing.assert_array_equal(loop.tracer.trace_paths(keep, m.first_sample, only)[1][only == 1], everything[only == 1])
+    np.testing.assert_array_equal(loop.tracer.trace_paths(keep, m.traced[0].first_sample, only)[1][only == 1], everything[only == 1])
     assert (everything[only == 1] != m.log.color[only == 1]).any()
 
 
@@ -63,7 +68,7 @@ def test_affected_against_a_plain_search() -> None:
 def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
     """Culling a set in three steps, each tracing only what it changes: colours, records and changes as of a trace of every path without the whole set."""
     loop, m = measured
-    reference, log, after = Reference(m.log), m.log.copy(), m.log.copy()  # what a trial's log held before does not matter
+    reference, log, after = Reference(m.log), everything_of(m.log), everything_of(m.log)  # what a trial's log held before does not matter
     difference = reference.nothing
     culled = np.zeros(len(m.tlas.ids), bool)
     for seed in range(3):
@@ -72,12 +77,12 @@ def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
         keep = np.zeros(len(loop.activation), bool)
         keep[m.tlas.ids[~(culled | more)]] = True
         assert 0 < only.mean() < 1
-        loop.tracer.trace_without(m.tlas, m.first_sample, keep, only, after)
+        loop.tracer.trace_without(m.tlas, m.traced[0].first_sample, keep, loop.tracer.build(keep), only, after)
         difference = reference.compare(only, after.color, log, difference)
         log.update(only, after)
         culled |= more
         everything = PathLog.zeros(*only.shape)
-        loop.tracer.trace_without(m.tlas, m.first_sample, keep, np.ones_like(only), everything)
+        loop.tracer.trace_without(m.tlas, m.traced[0].first_sample, keep, loop.tracer.build(keep), np.ones_like(only), everything)
         np.testing.assert_array_equal(log.color, everything.color)
         entries = np.arange(RECORD) <= np.minimum(log.records[..., :1], RECORD - 1)  # what is behind them is nobody's
         np.testing.assert_array_equal(np.where(entries, log.records, 0), np.where(entries, everything.records, 0))
@@ -95,11 +100,12 @@ def test_a_difference_is_put_down_to_what_the_path_met_first() -> None:
     culled = np.array([True, True, False])
     only = log.affected(culled)
     other = np.where(only[..., None] == 1, np.float32(0.25), np.zeros(3, np.float32))
-    sizes = Reference(log).sizes_by_unit(np.arange(3, dtype=np.int32), culled, only, other, log, 2.0)
-    expected = np.zeros((2, TILES))
-    expected[1, 0] = 2 * 0.25 + 2 * np.sqrt(2 * 0.25**2)
-    expected[0, 1] = 0.25 + 2 * 0.25
-    np.testing.assert_allclose(sizes, expected, atol=1e-7)  # a tile has two paths, of luminance 1 together; its weights sum to 1 in float32
+    reference = Reference(log)
+    found = reference.changes_by_unit(np.arange(3, dtype=np.int32), culled, only, other, log, Light.of(reference))
+    change, squares = np.zeros((2, 2, TILES))
+    change[1, 0], squares[1, 0] = 2 * -0.25, 2 * 0.25**2
+    change[0, 1], squares[0, 1] = -0.25, 0.25**2
+    np.testing.assert_allclose(found, (change, squares), atol=1e-7)  # a tile has two paths, of luminance 1 together; its weights sum to 1 in float32
 
 
 def test_a_search_goes_on_from_what_was_culled_before() -> None:
@@ -133,7 +139,7 @@ class Additive:
         return PathLog(self.log.records, np.where(only[..., None] == 1, np.float32(0.9), self.log.color))
 
     def search(self, worth: np.ndarray, savings: Savings, budget: Budget, **more: Any) -> Search:
-        return Search(Reference(self.log), self.log.copy(), more.pop("without", self.without), Units.single(worth), savings, budget, **more)
+        return Search([Trial(Reference(self.log), everything_of(self.log), self.without)], Units.single(worth), savings, budget, **more)
 
     def excess(self, cull: np.ndarray, budget: Budget) -> float:
         """Of the true change, without margin."""
@@ -163,13 +169,47 @@ def test_search_spends_the_budget_and_no_more() -> None:
     assert most - 2 <= chosen.cull.sum() <= most
 
 
-def test_steps_are_refined_into_pieces_of_equal_worth() -> None:
-    world = Additive(1)
+def test_what_lies_between_two_sets_is_cut_into_pieces_of_equal_worth() -> None:
     units = Units.single(np.repeat(np.arange(9.0)[:, None], TILES, axis=1))
-    estimate = world.search(units.worth[:1], Savings.among(np.zeros(1, np.int32), np.array([100])), Budget(1.0, 1.0)).run()[0].estimate
-    steps = [Choice(np.arange(9) < n, Reference(world.log).nothing, estimate) for n in (1, 9)]
-    sets = refined(steps, units)
-    assert [int(x.sum()) for x in sets] == [1, 4, 6, 7, 9]  # 1 + 2 + 3 are less than a quarter of 36, with 4 and 5 less than a half
+    sets = pieces(np.arange(9) < 1, np.arange(9) < 9, units)
+    assert [int(x.sum()) for x in sets] == [4, 6, 7]  # 1 + 2 + 3 are less than a quarter of 36, with 4 and 5 less than a half
+    assert pieces(np.arange(9) < 8, np.arange(9) < 9, units) == []  # one unit is one piece
+
+
+def test_two_traces_are_one_measurement() -> None:
+    """Paths of two trials count as those of one of both; what is proposed costs paths only where it is new."""
+    world = Additive(6)
+    both = Reference(world.log)
+    halves = [np.arange(16) < 8, np.arange(16) >= 8]
+    only = [np.broadcast_to(half, world.log.shape).astype(np.uint8) for half in halves]
+    trials = [Trial(Reference(world.log, marked), world.log.copy(marked), world.without, marked) for marked in only]
+    for culled in (1, 3):
+        cull = np.arange(6) < culled
+        world.traced = 0
+        paths = sum(trial.propose(cull) for trial in trials)
+        difference = trials[0].trace() + trials[1].trace()
+        assert paths == world.traced > 0
+        whole = both.compare(world.log.affected(cull), world.without(cull, world.log.affected(cull)).color, world.log, both.nothing)
+        np.testing.assert_allclose(difference.squares, whole.squares, atol=1e-9)  # sums of float64 in another order
+        np.testing.assert_allclose(difference.pixels.sum(axis=0), whole.pixels.sum(axis=0), atol=1e-9)
+        for trial in trials:
+            trial.accept()
+        assert sum(trial.propose(cull) for trial in trials) == 0
+
+
+def test_sets_that_are_given_up_for_noise_are_doubted() -> None:
+    """A set whose change is half of the bound, by too few paths to be sure: the tiles that it changes are; a set that changes far too much leaves no doubt."""
+    world = Additive(2)
+    savings = Savings.among(np.arange(2, dtype=np.int32), np.full(2, 1000))
+    worth = np.full((2, TILES), 1e-4)
+    worth[1] = np.inf
+    change = world.search(worth, savings, Budget(1.0, 1.0)).run()[-1].estimate
+    noisy = world.search(worth, savings, Budget(1.0, change.worst + 0.5 * change.worst_deviation))
+    noisy.run()
+    assert noisy.doubted.any()
+    hopeless = world.search(worth, savings, Budget(1.0, 0.05 * change.worst))
+    hopeless.run()
+    assert not hopeless.doubted.any()
 
 
 def test_what_must_stay_stays_and_paths_are_limited() -> None:
