@@ -93,7 +93,7 @@ class Certificate:
                 if accepted is not None and not new.any():
                     break
                 whole = before | new
-                for proposed in (whole, *(pieces(before, whole, units) if accepted is not None else ())):
+                for proposed in (whole, *pieces(before, whole, units)):
                     keep = keep_of(proposed)
                     estimate = self._judged(keep, within)
                     holds = estimate.surely_holds(self.budget, self.each)

@@ -106,8 +106,9 @@ def test_it_sees_what_was_never_built_and_agrees_with_brute_force() -> None:
     assert verdict.estimate.mean > 0.02
 
 
-def test_it_stops_where_the_budget_may_break_and_goes_on_for_other_tiles() -> None:
-    """Cubes that stand apart: one may not go, all behind it in the sequence may."""
+@pytest.mark.parametrize("first", [0, 4], ids=["step by step", "at once"])
+def test_it_stops_where_the_budget_may_break_and_goes_on_for_other_tiles(first: int) -> None:
+    """Cubes that stand apart: one may not go, all behind it in the sequence, or beside it in a first set, may."""
     places = [(x, 2, 0.4) for x in (-3.0, -1.5, 0.0, 1.5, 3.0)]
     cubes = [(1, scenes.placed(place, 0.8 if k == 2 else 0.04), 1) for k, place in enumerate(places)]
     scene = scenes.build(
@@ -122,7 +123,7 @@ def test_it_stops_where_the_budget_may_break_and_goes_on_for_other_tiles() -> No
     loop = Loop(scene, CullOptions(width=SIZE[0]))
     n = len(scene.instances)
     order = [4, 3, 1, 2]  # instance 3 is the large one
-    keeps = [np.isin(np.arange(n), order[:k], invert=True) for k in range(len(order) + 1)]
+    keeps = [np.isin(np.arange(n), order[:k], invert=True) for k in range(first, len(order) + 1)]
     worth = np.zeros((n, TILES))
     worth[3] = np.abs(Judge(scene, 16).change(np.arange(n) != 3).tiles)
     loop.include(keeps[0])

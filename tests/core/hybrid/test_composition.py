@@ -107,7 +107,7 @@ def test_analysis_weighs_what_the_picture_loses(known):
     loop = Loop(dataclasses.replace(scene, first_hits={size: hits}), CullOptions(paths=16))
     loop.ambient = 0.05  # as rounds would find it, about
     measured = loop.measure(loop.tracer.build(np.ones(2, bool)))
-    traced = light(scene, samples=measured.samples)
+    traced = light(scene, samples=measured.log.shape[2])
     lamps, rest = (float((x @ LUMINANCE).mean()) for x in (traced.clear, traced.indirect))
     assert lamps > 3 * rest > 0
     # The same paths, so the same sums but for the order in which single precision adds them.
@@ -115,7 +115,7 @@ def test_analysis_weighs_what_the_picture_loses(known):
     assert measured.weights.total.sum() * measured.weights.unit / measured.log.luminance.size == pytest.approx(lamps + rest, rel=1e-3)
     blocker = int(np.flatnonzero(measured.tlas.ids == 1)[0])
     denied = measured.weights.light[blocker].sum() * measured.weights.unit / measured.log.luminance.size
-    unblocked = float((light(scene, [True, False], measured.samples).maybe @ LUMINANCE).mean())  # what comes through without it
+    unblocked = float((light(scene, [True, False], measured.log.shape[2]).maybe @ LUMINANCE).mean())  # what comes through without it
     assert denied < 0.5 * unblocked if known else denied > 0.5 * unblocked
 
 
