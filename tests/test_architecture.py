@@ -26,7 +26,7 @@ FLOORS = (
     "core.feedback",
     "core.error_budget",
     "core.tracing.bsdf",
-    "core.tracing.lights core.tracing.textures core.tracing.shading",
+    "core.tracing.lights core.tracing.textures core.tracing.surface",
     "core.tracing",
     "core.culling",
     "core.hybrid",
@@ -48,10 +48,6 @@ FLOORS = (
     "tests scripts.dev",
 )
 LONG_MODULES: dict[str, int] = {
-    "core.tracing.bsdf.bsdf": 548,
-    "core.tracing.lights.lights": 435,
-    "core.tracing.path_kernel": 406,
-    "core.tracing.shading": 518,
     "lipac_addon.batch.pipeline": 615,
     "lipac_addon.extract.graph": 440,
     "lipac_addon.extract.instances": 411,

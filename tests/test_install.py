@@ -33,7 +33,8 @@ def test_core_never_mentions_bpy_in_an_import() -> None:
 
 def test_every_room_is_packed() -> None:
     """By pip; the extension's zip takes whole folders."""
-    rooms = {".".join(("lipac", *path.parent.relative_to(ROOT).parts)) for top in ("core", "lipac_addon", "scripts") for path in (ROOT / top).rglob("__init__.py")}
+    tops = [ROOT / name for name in ("core", "lipac_addon", "scripts")]
+    rooms = {".".join(("lipac", *path.parent.relative_to(ROOT).parts)) for top in tops for path in top.rglob("__init__.py")}
     assert set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]) == rooms | {"lipac"}
 
 

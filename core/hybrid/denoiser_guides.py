@@ -10,7 +10,8 @@ from ..jit.pointers import address, f32_pointer
 from ..scene.camera import camera_constants, camera_ray
 from ..scene.model import FirstHitBuffer
 from ..tracing.bsdf.lobes import F_N, FRAME, P_BASE, PARAMS
-from ..tracing.shading import SURF, T_TRANSFORM, SceneTable, face, interpolate, material_inputs, material_of, mesh_record
+from ..tracing.materials import material_inputs, material_of
+from ..tracing.surface import SURF, T_TRANSFORM, SceneTable, face, interpolate, mesh_record
 
 GUIDES = 6  # base colour (1 where nothing is), normal towards the camera (0 where nothing is)
 _INSTANCE_BYTES = np.uint64(48)

@@ -11,11 +11,13 @@ from ..jit.atomics import pointer
 from ..jit.pointers import f32_pointer, load_u8, load_u32
 from ..jit.sampling import INNER, normalize, power_heuristic
 from ..scene.model import VIEWS, RayType
-from .bsdf.bsdf import bsdf_eval, bsdf_setup, bsdf_transparency
+from .bsdf.evaluate import bsdf_eval
 from .bsdf.lobes import BACKFACING, C_EMISSION, F_N, O_PDF
+from .bsdf.setup import bsdf_setup, bsdf_transparency
 from .lights.environment import environment_radiance
 from .lights.lamps import FAR, LAMP, lamp_hit, lamp_share
-from .lights.lights import INSTANCE, L_HEIGHT, L_IMAGE, L_LAMPS, L_MESHES, L_WIDTH, L_WORLD_VISIBILITY, NONE, WORLD, lamp_density, sample_light
+from .lights.light_sampling import INSTANCE, L_HEIGHT, L_IMAGE, L_LAMPS, L_MESHES, L_WIDTH, L_WORLD_VISIBILITY, NONE, WORLD, lamp_density, sample_light
+from .materials import M_SHADER, attenuates_emission, composed, emission, material_alpha, material_inputs, material_of, part_of, transmits_shadow
 from .path_feedback import add_light, add_worth, count_hit, credit_unbuilt, log_entry, luminance_of
 from .path_rays import count_boxes, entry_of, intersect, set_ray
 from .path_state import (
@@ -38,27 +40,7 @@ from .path_state import (
     SAMPLED_MAYBE,
     V_WORLD,
 )
-from .shading import (
-    LIGHT_VIEW,
-    M_SHADER,
-    S_ERROR,
-    T_FLAGS,
-    T_TRANSFORM,
-    attenuates_emission,
-    composed,
-    emission,
-    face,
-    hit_number,
-    interpolate,
-    material_alpha,
-    material_inputs,
-    material_of,
-    mesh_record,
-    offset_origin,
-    part_of,
-    shadow_origin,
-    transmits_shadow,
-)
+from .surface import LIGHT_VIEW, S_ERROR, T_FLAGS, T_TRANSFORM, face, hit_number, interpolate, mesh_record, offset_origin, shadow_origin
 
 _CAMERA, _SHADOW, _NEAREST = int(RayType.CAMERA), np.int64(RayType.SHADOW), np.int64(1)  # a literal argument would compile another variant
 _LIGHT, _VIEWS = np.int64(LIGHT_VIEW), np.int64(VIEWS)

@@ -16,12 +16,11 @@ from ..accel.embree import HIT_U, HIT_V, PRIM_ID, TFAR
 from ..feedback.hits import COLUMNS, ROWS
 from ..feedback.path_log import RECORD
 from ..jit.atomics import atomic_add_int64
-from ..jit.pointers import f32_pointer, load_f32, load_i32, load_u8, load_u32, u32_pointer
+from ..jit.pointers import f32_pointer, load_u8, load_u32
 from ..jit.sampling import INNER, OPTIONS, mix, normalize, path_key, power_heuristic, uniform2
 from ..scene.camera import CAMERA, camera_ray
 from ..scene.film import filter_offset
 from ..scene.model import VIEWS, InstanceFlag, RayType, Shader
-from .bsdf.bsdf import bsdf_blur, bsdf_sample, bsdf_setup
 from .bsdf.lobes import (
     BACKFACING,
     C_EMISSION,
@@ -38,12 +37,26 @@ from .bsdf.lobes import (
     TRANSMIT,
     TRANSPARENT,
 )
+from .bsdf.sample import bsdf_sample
+from .bsdf.setup import bsdf_blur, bsdf_setup
 from .direct_light import add_direct_light, add_lamps_seen, world_radiance
 from .lights.environment import environment_radiance
 from .lights.lamps import FAR
-from .lights.lights import L_COUNT_SHAPES, L_EMITTERS, L_HEIGHT, L_IMAGE, L_INFINITE, L_SEEN, L_WIDTH, L_WORLD_VISIBILITY, triangle_density, world_density
+from .lights.light_sampling import (
+    L_COUNT_SHAPES,
+    L_EMITTERS,
+    L_HEIGHT,
+    L_IMAGE,
+    L_INFINITE,
+    L_SEEN,
+    L_WIDTH,
+    L_WORLD_VISIBILITY,
+    triangle_density,
+    world_density,
+)
+from .materials import M_MIS, M_SHADER, M_UNSURE, apply_normal_map, composed, emission, emits, material_inputs, material_of, part_of, transmits_shadow
 from .path_feedback import add_light, add_worth, count_hit, remember, settle
-from .path_rays import count_boxes, entry_of, intersect, set_ray
+from .path_rays import count_boxes, entry_of, intersect, set_ray, start_at_hit
 from .path_state import (
     A_CAMERA,
     A_COLOR,
@@ -92,25 +105,7 @@ from .path_state import (
     scenery,
     scratch,
 )
-from .shading import (
-    M_MIS,
-    M_SHADER,
-    M_UNSURE,
-    T_FLAGS,
-    T_TRANSFORM,
-    apply_normal_map,
-    composed,
-    emission,
-    emits,
-    face,
-    interpolate,
-    material_inputs,
-    material_of,
-    mesh_record,
-    offset_origin,
-    part_of,
-    transmits_shadow,
-)
+from .surface import T_FLAGS, T_TRANSFORM, face, interpolate, mesh_record, offset_origin
 
 _CAMERA, _DIFFUSE_RAY, _GLOSSY_RAY, _TRANSMISSION_RAY = (int(t) for t in RayType if t != RayType.SHADOW)
 _HOLDOUT_FLAG = int(InstanceFlag.HOLDOUT)
@@ -123,26 +118,10 @@ _INSTANCE_BYTES = np.uint64(48)
 
 
 @njit(**INNER)
-def _start(s, w, record, ox, oy, oz, dx, dy, dz):
-    """The hit that a raster found on the ray from o along d, into w.ray as if traced; its instance, or -1. record: address of a primary.HIT."""
-    instance = np.int64(load_i32(record, 0))
-    if instance < 0:
-        return instance
-    triangle, b1, b2 = load_u32(record, 1), load_f32(record, 2), load_f32(record, 3)
-    mesh = mesh_record(s.primary_meshes, s.table, instance)
-    interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), np.int64(triangle), b1, b2, w.surf, w.frame)
-    w.ray[TFAR] = max((w.surf[0] - ox) * dx + (w.surf[1] - oy) * dy + (w.surf[2] - oz) * dz, _ZERO)
-    w.ray[HIT_U] = b1
-    w.ray[HIT_V] = b2
-    u32_pointer(w.ray_words)[PRIM_ID] = triangle
-    return instance
-
-
-@njit(**INNER)
 def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
     """Trace one path from a camera ray; its radiance goes into w.total[0:3], how much of the pixel is transparent into w.total[3], its parts behind that.
 
-    record: address of what a raster found on the camera ray (primary.HIT), 0 to trace it.
+    record: address of what a raster found on the camera ray (scene.model.HIT), 0 to trace it.
     """
     first = record != np.uint64(0)  # at the raster's hit
     second = False  # on the ray that left it
@@ -172,7 +151,7 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         set_ray(w.ray, w.ray_words, ox, oy, oz, dx, dy, dz, far, ray_type)
         instance = np.int64(-1)
         if first:
-            instance = _start(s, w, record, ox, oy, oz, dx, dy, dz)
+            instance = start_at_hit(s, w, record, ox, oy, oz, dx, dy, dz)
             hit = instance >= 0
         else:
             w.stats[RAYS] += 1

@@ -16,7 +16,7 @@ from ..jit.pointers import f32_pointer, f64_pointer, i32_pointer, i64_pointer, u
 from ..jit.sampling import INNER
 from .bsdf.lobes import CLOSURE, FRAME, OUT, PARAMS
 from .lights.lights import LIGHT_SAMPLE
-from .shading import SURF
+from .surface import SURF
 
 # settings, int64[SETTINGS]
 (

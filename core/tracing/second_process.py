@@ -39,7 +39,8 @@ def compile_part() -> None:
     The kernel itself comes to them late, so they are there by then. Signatures are those that it calls them with.
     """
     # Not when this module is imported: whoever shares the work imports the kernels when it needs them.
-    from .bsdf.bsdf import bsdf_sample, bsdf_setup
+    from .bsdf.sample import bsdf_sample
+    from .bsdf.setup import bsdf_setup
     from .direct_light import add_direct_light
     from .path_state import scenery, scratch
 

@@ -31,7 +31,7 @@ from .lights.lamps import FAR
 from .lights.lights import Lights, emissive_instances
 from .path_kernel import trace_tile
 from .second_process import share
-from .shading import SceneTable
+from .surface import SceneTable
 
 TILE = 16
 Tile = tuple[int, int, int, int]  # x, y, and where it ends

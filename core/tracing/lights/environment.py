@@ -11,11 +11,11 @@ from numba import njit
 from ...arrays import F32
 from ...jit.pointers import load_f32
 from ...jit.sampling import OPTIONS
+from ...scene.film import LUMINANCE
 from ...scene.model import World
 
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _PI, _TWO_PI = np.float32(math.pi), np.float32(2 * math.pi)
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def build_environment(world: World) -> Environment | None:
     if broken.any():
         image = np.where(broken, np.float32(0.0), image)  # Cycles drops the light of a path that is not finite
     h, w = image.shape[:2]
-    value = np.maximum(image.astype(np.float64), 0) @ _LUMINANCE
+    value = np.maximum(image.astype(np.float64), 0) @ LUMINANCE
     # A lookup interpolates: what a pixel's area shows is near the mean of its neighbourhood.
     value = (np.roll(value, 1, 1) + 2 * value + np.roll(value, -1, 1)) / 4
     padded = np.pad(value, ((1, 1), (0, 0)), mode="edge")

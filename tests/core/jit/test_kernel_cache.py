@@ -36,7 +36,7 @@ def test_changed_sources_use_another_folder(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(config, "CACHE_DIR", getattr(config, "CACHE_DIR"))  # noqa: B009
     monkeypatch.setattr(kernel_cache, "__file__", str(copy / "jit" / "kernel_cache.py"))
     before = kernel_cache.use(tmp_path / "cache")
-    changed = copy / "tracing" / "bsdf" / "bsdf.py"
+    changed = copy / "tracing" / "bsdf" / "sample.py"
     changed.write_text(changed.read_text() + "\n")
     after = kernel_cache.use(tmp_path / "cache")
     assert before
@@ -51,7 +51,7 @@ def test_changed_sources_use_another_folder(tmp_path: Path, monkeypatch: pytest.
 def test_what_kernels_do_not_use_is_no_source_of_theirs() -> None:
     core = Path(lipac.core.__file__).parent
     names = {path.relative_to(core).as_posix() for path in kernel_cache.kernel_sources(core)}
-    kernels = {"tracing/path_kernel.py", "tracing/bsdf/bsdf.py", "tracing/lights/light_tree.py", "accel/hitboxes.py", "jit/sampling.py"}
+    kernels = {"tracing/path_kernel.py", "tracing/bsdf/sample.py", "tracing/lights/light_tree.py", "accel/hitboxes.py", "jit/sampling.py"}
     assert kernels | {"feedback/hits.py", "scene/model.py", "scene/mesh.py"} <= names  # these have no kernel, but constants of kernels
     assert not {"culling/loop.py", "culling/analysis.py", "culling/options.py", "files/report.py"} & names
 

@@ -52,7 +52,7 @@ def test_what_the_worker_compiled_is_loaded_and_nothing_is_compiled_again(tmp_pa
     assert worker is not None
     assert worker.wait() == 0
     names = {path.name.split("-")[0] for path in tmp_path.rglob("*.nbi")}
-    done = {"bsdf.bsdf_setup", "bsdf.bsdf_sample", "bsdf.bsdf_eval", "direct_light.add_direct_light", "direct_light.light_passing", "lights.sample_light"}
+    done = {"setup.bsdf_setup", "sample.bsdf_sample", "evaluate.bsdf_eval", "direct_light.add_direct_light", "light_sampling.sample_light"}
     assert done <= names
 
     first = _compiled(tmp_path)
@@ -70,7 +70,7 @@ def test_the_worker_ends_when_nobody_holds_its_input(tmp_path: Path, monkeypatch
     assert worker.stdin is not None
     worker.stdin.close()  # as when this process ends, in whatever way
     worker.wait(timeout=60)
-    assert not list(tmp_path.rglob("bsdf.bsdf_sample-*.nbi"))
+    assert not list(tmp_path.rglob("sample.bsdf_sample-*.nbi"))
 
 
 def test_the_worker_needs_nothing_of_the_packages_around_the_engine(tmp_path: Path) -> None:

@@ -13,7 +13,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lipac.core.scene.model import Shader, Shading
-from lipac.core.tracing.bsdf import bsdf, ggx_albedo, lobes
+from lipac.core.tracing.bsdf import ggx_albedo, lobes
+from lipac.core.tracing.bsdf.evaluate import bsdf_eval
+from lipac.core.tracing.bsdf.sample import bsdf_sample
+from lipac.core.tracing.bsdf.setup import bsdf_blur, bsdf_setup, bsdf_transparency
 from lipac.tests.stats import assert_mean, chi_square, level, standard_error, z_limit
 
 F64 = NDArray[np.float64]
@@ -117,7 +120,7 @@ def setup(case: Case, wi: Any, flags: int = 0, n: Any = UP, ns: Any = UP) -> F64
     """Closure of a case seen along wi, on a surface that faces +Z."""
     closure = np.full(lobes.CLOSURE, np.nan)
     frame = np.concatenate([wi, unit(n), unit(ns), UP]).astype(np.float32)
-    bsdf.bsdf_setup(closure, params(case[1]), int(case[0]), frame, flags)
+    bsdf_setup(closure, params(case[1]), int(case[0]), frame, flags)
     return closure
 
 
@@ -125,13 +128,13 @@ def setup(case: Case, wi: Any, flags: int = 0, n: Any = UP, ns: Any = UP) -> F64
 def _draw(closure: Any, u: Any, out: Any) -> None:
     for i in range(len(u)):
         out[i, :8] = 0.0
-        out[i, 8] = bsdf.bsdf_sample(closure, u[i, 0], u[i, 1], u[i, 2], out[i])
+        out[i, 8] = bsdf_sample(closure, u[i, 0], u[i, 1], u[i, 2], out[i])
 
 
 @njit(error_model="numpy")  # not cached: the cache of a caller does not notice that `bsdf` changed
 def _evaluate(closure: Any, w: Any, out: Any) -> None:
     for i in range(len(w)):
-        bsdf.bsdf_eval(closure, w[i, 0], w[i, 1], w[i, 2], out[i])
+        bsdf_eval(closure, w[i, 0], w[i, 1], w[i, 2], out[i])
 
 
 def draw(closure: F64, count: int, seed: int = 1) -> F64:
@@ -252,7 +255,7 @@ def test_nothing_breaks_at_the_edges() -> None:
         wi = direction(float(rng.choice([0.0, 30.0, 85.0, 89.999])), rng.uniform(0, 360))
         closure = setup(case, wi, int(rng.integers(0, 16)), *((n, ns) if trial % 3 else (UP, UP)))
         if trial % 5 == 0:
-            bsdf.bsdf_blur(closure, 0.3)
+            bsdf_blur(closure, 0.3)
         public = closure[: lobes.C_HAS_EVAL + 1]
         assert np.isfinite(public).all() and (public >= 0.0).all(), case
         out = draw(closure, 20, trial)
@@ -294,18 +297,18 @@ def test_public_slots() -> None:
     out = np.zeros(lobes.OUT)
     closure = setup(principled(alpha=0.25), direction(30.0))
     assert closure[lobes.C_EMISSION] == pytest.approx(0.25) and closure[lobes.C_TRANSPARENCY] == pytest.approx(0.75)
-    bsdf.bsdf_transparency(params({"alpha": 0.25}), int(Shader.PRINCIPLED), out)
+    bsdf_transparency(params({"alpha": 0.25}), int(Shader.PRINCIPLED), out)
     assert out[:3] == pytest.approx(0.75)
-    bsdf.bsdf_transparency(params({"base": ORANGE}), int(Shader.TRANSPARENT), out)
+    bsdf_transparency(params({"base": ORANGE}), int(Shader.TRANSPARENT), out)
     assert out[:3] == pytest.approx(ORANGE)
-    bsdf.bsdf_transparency(params({}), int(Shader.GLASS), out)
+    bsdf_transparency(params({}), int(Shader.GLASS), out)
     assert not out[:3].any()
     assert 0.9 < setup(principled(coat=1.0), direction(30.0))[lobes.C_EMISSION] < 0.97  # 4 % reflected at normal incidence
     mirror = setup((Shader.GLOSSY, {"base": WHITE, "roughness": 0.0}), direction(30.0))
     assert mirror[lobes.C_HAS_EVAL] == 0.0
     assert draw(mirror, 1)[0, 8] == lobes.REFLECT | lobes.SINGULAR
     np.testing.assert_allclose(draw(mirror, 1)[0, :3], direction(30.0, -90.0), atol=1e-7)
-    bsdf.bsdf_blur(mirror, 0.2)
+    bsdf_blur(mirror, 0.2)
     assert mirror[lobes.C_HAS_EVAL] == 1.0
     assert draw(mirror, 1)[0, 8] == lobes.REFLECT | lobes.GLOSSY
     assert draw(mirror, 1)[0, lobes.O_ROUGHNESS] == pytest.approx(0.2)
