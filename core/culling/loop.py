@@ -31,8 +31,8 @@ from ..scene.model import Scene
 from .activation import SETTLED, Activation
 from .frame_tracer import FrameTracer, places
 from .measurement import Measurement, Traced, Witness
-from .options import CullOptions, State
-from .result import Built, CullingResult, structure_figures
+from .options import CullOptions
+from .result import Built, CullingResult, states, structure_figures
 from .twins import Twins
 
 UNKNOWN = 0.2  # segments per path that ask for a box where coarse rounds are worth while
@@ -228,20 +228,10 @@ class Loop:
             self.blas.keep_only(self.scene.instances.mesh[self.activation.active])
             cut = self.activation.regions.cut(np.flatnonzero(keep))
             boxes = Hitboxes(cut.bounds, self.device)
-            state = self._states(keep)
+            state = states(keep, self.residency, self.scene.instances.mesh, self.activation.active)
         stats = structure_figures(state, self.scene.instances.mesh[tlas.ids], self.blas, tlas.bytes + boxes.bytes) | self.timer.seconds
         stats |= {"paths": self.tracer.paths, "rays": self.tracer.rays, "iterations": self.rounds, "hitboxes": len(boxes), **figures}
         return CullingResult(state, score, hits, cut.bounds, stats, warnings, Built(self.blas, tlas, self.tracer.prepared))
-
-    def _states(self, keep: np.ndarray) -> NDArray[np.uint8]:
-        """(N,) `State` of each instance where keep (N,) bool stay."""
-        state = np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED))
-        if self.limited:
-            mesh = self.scene.instances.mesh
-            waiting = self.residency.waiting(mesh, self.activation.active)
-            comes = self.residency.deferred & ~np.isin(mesh[waiting], self.blas.refused)
-            state[waiting] = np.where(comes, np.uint8(State.PENDING), np.uint8(State.CULLED))
-        return state
 
 
 def _mean_luminance(picture: F32) -> float:

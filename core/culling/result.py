@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..accel.blas import BlasCache
+from ..accel.residency import Residency
 from ..accel.tlas import Tlas
 from ..arrays import F32, I32, I64, U8
 from ..tracing.tracer import Prepared
@@ -49,6 +50,16 @@ class CullingResult:
     def active(self) -> np.ndarray:
         """(N,) bool."""
         return self.state == State.ACTIVE
+
+
+def states(keep: np.ndarray, residency: Residency, mesh: I32, active: np.ndarray) -> U8:
+    """(N,) `State` of each instance where keep, (N,) bool, stay as far as they have a BLAS. mesh: (N,) of each; active: (N,) bool, those that want one."""
+    state = np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED))
+    if residency.limited:
+        waiting = residency.waiting(mesh, active)
+        comes = residency.deferred & ~np.isin(mesh[waiting], residency.blas.refused)
+        state[waiting] = np.where(comes, np.uint8(State.PENDING), np.uint8(State.CULLED))
+    return state
 
 
 def structure_figures(state: U8, mesh: I32, blas: BlasCache, tlas_bytes: int) -> dict[str, float | int]:
