@@ -1,4 +1,4 @@
-"""Compiled kernels: loaded ahead while something else goes on, and, the first time, compiled, which is said."""
+"""Warm up the JIT-compiled kernels: load them ahead in a thread, and report the progress of compiling them the first time."""
 
 from __future__ import annotations
 

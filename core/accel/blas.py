@@ -16,8 +16,8 @@ from . import embree
 from .region_tree import spatial_order
 
 RUN, RUNS = 8, 64  # triangles that were neighbours when a BLAS was built, and how many such runs are looked at
-TORN = 4.0  # growth of their boxes at which a BLAS is built anew instead of refitted: there rays take 1.4 times as long
-LOOKS = 8  # refits from one look to the next: looking takes as long as refitting a small mesh
+REBUILD_SAH_RATIO = 4.0  # growth of the boxes of such runs (surface area) at which a BLAS is built anew instead of refitted: there rays take 1.4 times as long
+CHECK_INTERVAL = 8  # refits from one check to the next: checking takes as long as refitting a small mesh
 BLAS_BYTES, TRIANGLE_BYTES = 1152, 36  # of Embree 4.4's compact structure, within a third over meshes of 12 to 500,000 triangles
 
 
@@ -221,7 +221,7 @@ class BlasCache:
         blas, source = self._built[index], self._meshes[index]
         same = source.positions.shape == blas.mesh.positions.shape and np.array_equal(source.triangles, blas.mesh.triangles)
         blas.refits += 1
-        torn = same and blas.refits % LOOKS == 0 and _spread(source, blas.runs) > TORN * blas.spread > 0
+        torn = same and blas.refits % CHECK_INTERVAL == 0 and _spread(source, blas.runs) > REBUILD_SAH_RATIO * blas.spread > 0
         if torn or not (same and blas.geometry):
             self._free(index)
             self._install(index, self._build(index, loaded(source)))

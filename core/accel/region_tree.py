@@ -19,11 +19,11 @@ from ..scene.bounds import enclosing, extended_morton_codes, extents
 from ..scene.frustum import View
 
 FANOUT = 8
-QUIET = 4  # crossings of all parts of a region below which it is closed
-SOON = 4  # changed frames after closing a region within which it was closed in vain if paths ask for it
-STAY = 16  # changed frames that it then stays open, at first
-_LONGEST = 6  # doublings of STAY at most
-DECAYED = 2.0  # growth of the regions' surface at which the order is made anew
+MERGE_BELOW = 4  # crossings of all parts of a region below which they are merged into it
+RESPLIT_WINDOW = 4  # changed frames: a region that is split again within so many after it was merged backs off
+MIN_OPEN = 16  # changed frames that it then stays split, at first; doubled each time (exponential backoff)
+_MAX_DOUBLINGS = 6  # doublings of MIN_OPEN at most
+REBUILD_SAH_RATIO = 2.0  # growth of the regions' surface at which the order is made anew
 _MORTON_BITS = 16
 _SIZE_CLASSES = 8  # an instance is at most a quarter as large as one of the class before it
 
@@ -74,13 +74,13 @@ class Regions:
             self._bounds.append(enclosing(self._bounds[-1], FANOUT))
             self._extent.append(np.maximum.reduceat(self._extent[-1], np.arange(0, len(self._extent[-1]), FANOUT)))
         self.split = [np.zeros(len(level), bool) for level in self._bounds]
-        # By level, of each node: frame of its last closing, frame until which it stays open, and how often it was closed in vain.
+        # By level, of each node: frame of its last closing, frame until which it stays open, and how often it was split again soon after.
         self._closed, self._stays = ([np.zeros(len(level), np.int32) for level in self._bounds] for _ in range(2))
         self._vain = [np.zeros(len(level), np.uint8) for level in self._bounds]
         self._now: F32 | None = None  # boxes of the last frame, where some have moved; _bounds[0] spans the motion
         self._moving = np.zeros(0, np.int64)  # places that moved in the last frame
         self._surface = self._region_surface()
-        self._frame = SOON  # changed frames so far
+        self._frame = RESPLIT_WINDOW  # changed frames so far
 
     @property
     def levels(self) -> int:
@@ -90,7 +90,7 @@ class Regions:
     @property
     def decayed(self) -> bool:
         """Whether things have moved so far that a new order is worth its cost."""
-        return self._region_surface() > DECAYED * self._surface
+        return self._region_surface() > REBUILD_SAH_RATIO * self._surface
 
     def _region_surface(self) -> float:
         """Surface of the boxes of the lowest regions: what rays meet, about."""
@@ -193,7 +193,7 @@ class Regions:
             open_below[occupied[level]] = True
             here = cut.level == level
             sums[cut.index[here]] = crossings[here]
-            closed = self.split[level] & ~open_below & (self._stays[level] <= self._frame) & (sums < QUIET)
+            closed = self.split[level] & ~open_below & (self._stays[level] <= self._frame) & (sums < MERGE_BELOW)
             self.split[level] &= ~closed
             self._closed[level][closed] = self._frame
             open_below |= self.split[level]
@@ -218,10 +218,10 @@ class Regions:
 
     def _in_vain(self, level: int, nodes: np.ndarray) -> np.ndarray:
         """Which nodes that paths ask for were closed just now, (K,) bool: those are to stay open for a while."""
-        vain = self._closed[level][nodes] > self._frame - SOON
+        vain = self._closed[level][nodes] > self._frame - RESPLIT_WINDOW
         again = nodes[vain]
-        self._stays[level][again] = self._frame + (STAY << self._vain[level][again].astype(np.int32))
-        self._vain[level][again] = np.minimum(self._vain[level][again] + 1, _LONGEST)
+        self._stays[level][again] = self._frame + (MIN_OPEN << self._vain[level][again].astype(np.int32))
+        self._vain[level][again] = np.minimum(self._vain[level][again] + 1, _MAX_DOUBLINGS)
         return vain
 
     def instances_of(self, cut: Cut, rows: np.ndarray) -> I32:

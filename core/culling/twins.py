@@ -15,7 +15,7 @@ _MIX = np.uint64(0x9E3779B97F4A7C15)  # SplitMix64's
 
 
 class Twins:
-    """The groups of instances with the same box, found again where the boxes are others. A million boxes take a fifth of a second, the same boxes nothing."""
+    """The groups of instances with the same box, found again where the boxes have changed. A million boxes take a fifth of a second, the same boxes nothing."""
 
     def __init__(self) -> None:
         self._boxes: F32 | None = None

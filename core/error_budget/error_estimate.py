@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..arrays import F32, F64, I32
-from ..feedback.path_log import RECORD, PathLog, put_down
+from ..feedback.path_log import RECORD, PathLog, attribute_to_first_hit
 from ..feedback.tiles import DARK, TILES, tiles_of
 from ..scene.film import LUMINANCE
 from .budget import Budget
@@ -223,7 +223,7 @@ class Reference:
         step = (color.reshape(-1, 3)[paths] - before.color.reshape(-1, 3)[paths]).astype(np.float64)
         luminance, colored = step @ LUMINANCE / light.luminance[tile], np.sqrt((step**2).mean(axis=1)) / light.brightness[tile]
         size = np.where(np.abs(luminance) >= colored, luminance, colored)
-        put_down(before.records.reshape(-1, RECORD), paths, np.append(number[unit], -1), tile, size, change, squares)
+        attribute_to_first_hit(before.records.reshape(-1, RECORD), paths, np.append(number[unit], -1), tile, size, change, squares)
         return change, squares
 
 

@@ -102,7 +102,7 @@ def _count(records, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def put_down(records, paths, row, tile, difference, change, squares):
+def attribute_to_first_hit(records, paths, row, tile, difference, change, squares):
     """Add each path's difference, and its square, to change and squares (C, T) of the first entry that it met which has a row there, in the path's tile.
 
     paths: (D,) rows of records (P, RECORD). row: (A,) of each entry, -1: none. tile, difference: (D,).

@@ -32,9 +32,9 @@ from ..tracing import path_state
 from .modes import MODES
 
 MOST_BOXES = 1 << 17  # before lamps: 14 MB of them, built in a fifth of a second
-SURE, UNSURE = 0.02, 0.03  # mean changes of a picture up to which it is nearer to the truth than a raster without paths, and from which that is asked
+SURE, UNSURE = 0.02, 0.03  # limits of the certified error between which the picture fades to the mixture with the raster (linear ramp)
 CELL = 4  # pixels of an analysis' picture, each way, that are compared as one
-DEVIATIONS = 2.0  # standard ones, by which a share of paths may be too large by chance
+DEVIATIONS = 2.0  # confidence multiplier (sigma): by so many standard errors a share of paths may be too large by chance
 
 
 def with_mode(scene: Scene, mode: str) -> Scene:

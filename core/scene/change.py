@@ -16,7 +16,7 @@ class Change:
     Meshes keep their index from frame to frame: `Scene.meshes` only grows, a mesh that vanished stays as an empty one until its index is given to another.
 
     previous: (N,) int32 row of each instance in the scene before, -1 for new ones; None: the same rows in the same order.
-    moved: (N,) bool, instances whose transform, bounds, mesh, slots or flags are others (new ones included); None: none is.
+    moved: (N,) bool, instances whose transform, bounds, mesh, slots or flags changed (new ones included); None: none is.
     deformed: (D,) int32 meshes with the same triangles over moved vertices. replaced: (R,) int32 meshes with other triangles, new ones included.
     shading: materials, textures, lights or world changed. camera: the camera changed.
     """

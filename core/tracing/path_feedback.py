@@ -72,7 +72,7 @@ def log_entry(s, w, entry):
 
 
 @njit(**INNER)
-def remember(s, w, entry, tr, tg, tb):
+def record_vertex(s, w, entry, tr, tg, tb):
     """Note a TLAS entry that the path meets for the first time: what it has gathered so far, and what it carries."""
     n = w.stats[W_VERTICES]
     for k in range(n):
@@ -96,7 +96,7 @@ def credit_unbuilt(s, w, luminance):
 
 
 @njit(**INNER)
-def settle(s, w):
+def flush_path_contributions(s, w):
     """At the end of a path: credit what it met with what it gathered behind it, or with what it carried there where that is more."""
     total = luminance_of(w.total[0], w.total[1], w.total[2])
     for k in range(w.stats[W_VERTICES]):

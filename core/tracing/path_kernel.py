@@ -55,7 +55,7 @@ from .lights.light_sampling import (
     world_density,
 )
 from .materials import M_MIS, M_SHADER, M_UNSURE, apply_normal_map, composed, emission, emits, material_inputs, material_of, part_of, transmits_shadow
-from .path_feedback import add_light, add_worth, count_hit, remember, settle
+from .path_feedback import add_light, add_worth, count_hit, flush_path_contributions, record_vertex
 from .path_rays import count_boxes, entry_of, intersect, set_ray, start_at_hit
 from .path_state import (
     A_CAMERA,
@@ -163,7 +163,7 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         if count and not first:
             crossed = count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.ray_words, t, ray_type, s.settings[I_HITBOX_NEAREST])
             if crossed > 0 and s.settings[I_UNBUILT] >= 0:
-                remember(s, w, s.settings[I_UNBUILT], tr, tg, tb)
+                record_vertex(s, w, s.settings[I_UNBUILT], tr, tg, tb)
         if s.lights[L_COUNT_SHAPES] != np.uint64(0):
             add_lamps_seen(s, w, ox, oy, oz, dx, dy, dz, t if hit else FAR, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before, part)
         if bounce > 0:
@@ -189,7 +189,7 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             if watched:
                 count_hit(s, instance, ray_type)
                 if s.weights != np.uint64(0) or s.log != np.uint64(0):
-                    remember(s, w, entry, tr, tg, tb)
+                    record_vertex(s, w, entry, tr, tg, tb)
                 if through and s.weights != np.uint64(0):
                     add_worth(s, w, entry, FAR)
         triangle = np.int64(load_u32(w.ray_words, PRIM_ID))
@@ -364,7 +364,7 @@ def trace_tile(x0, y0, x1, y1, a):
                     for c in range(PARTS):
                         parts[PARTS * (y * width + x) + c] += exposure * w.total[PARTS_AT + c]
                 if s.weights != np.uint64(0):
-                    settle(s, w)
+                    flush_path_contributions(s, w)
                 if a[A_COLOR] != np.uint64(0):
                     known = record != np.uint64(0) and s.settings[I_LAMPS_KNOWN] != 0
                     for c in range(3):

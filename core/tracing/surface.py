@@ -1,6 +1,6 @@
 """From a hit to a point on a surface: position with its error, normals, UV.
 
-Kernels reach the scene through a table of addresses, uint64[TABLE], slots T_*: `SceneTable` makes it and keeps the arrays alive.
+Kernels reach the scene through a table of addresses, uint64[9], slots T_*: `SceneTable` makes it and keeps the arrays alive.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from .bsdf.lobes import (
 )
 
 T_TRANSFORM, T_MESH, T_SLOTS, T_FLAGS, T_SLOT_MATERIALS, T_MATERIALS, T_TEXTURES, T_BYTES, T_FLOATS = range(9)
-TABLE = 9
 # surf, float32[SURF]: a shading point, world space.
 S_P = 0  # position
 S_ERROR = 3  # bound of its error, and of Embree's, per axis
@@ -41,7 +40,7 @@ _GEOMETRY_OFFSET = np.float32(0.1)  # Blender's default "Shadow Terminator Geome
 
 
 class SceneTable:
-    """Addresses of a scene's arrays for the kernels; `table` is uint64[TABLE]."""
+    """Addresses of a scene's arrays for the kernels; `table` is uint64[9]."""
 
     def __init__(self, scene: Scene) -> None:
         i = scene.instances

@@ -31,7 +31,8 @@ class Explained:
 
 
 class JobOperator(Explained):
-    """An operator that steps a job. `make` makes it, `said` tells what came of it, `wrote` whether the file is other than before."""
+    """An operator that steps a job. `create_job` makes it, `success_message` tells what came of it, `needs_undo_step` whether the file has
+    changed."""
 
     job: Any
     bl_label: str
@@ -45,22 +46,22 @@ class JobOperator(Explained):
             return BUSY
         return "" if context.scene.camera is not None else "The scene has no active camera"
 
-    def make(self, context: bpy.types.Context) -> job.Job:
+    def create_job(self, context: bpy.types.Context) -> job.Job:
         """The job."""
         raise NotImplementedError
 
-    def said(self) -> str:
+    def success_message(self) -> str:
         """A line about the job that has succeeded."""
         raise NotImplementedError
 
-    def wrote(self) -> bool:
+    def needs_undo_step(self) -> bool:
         """Whether the file is other than before, which is a step of undo."""
         return False
 
     def begin(self, context: bpy.types.Context) -> set[str]:
         """Start the job; where that cannot be, say why."""
         try:
-            self.job = job.start(lambda: self.make(context))
+            self.job = job.start(lambda: self.create_job(context))
         except InputError as error:
             self.report({"ERROR"}, str(error))  # type: ignore[attr-defined]
             return {"CANCELLED"}
@@ -104,10 +105,10 @@ class JobOperator(Explained):
 
     def finish(self, _context: bpy.types.Context) -> set[str]:
         """Report how it ended."""
-        if self.wrote():
+        if self.needs_undo_step():
             bpy.ops.ed.undo_push(message=self.bl_label)
         if self.job.error:
             self.report({"WARNING" if self.job.cancelled else "ERROR"}, self.job.error)  # type: ignore[attr-defined]
             return {"CANCELLED"}
-        self.report({"INFO"}, self.said())  # type: ignore[attr-defined]
+        self.report({"INFO"}, self.success_message())  # type: ignore[attr-defined]
         return {"FINISHED"}

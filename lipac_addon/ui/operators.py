@@ -30,16 +30,16 @@ class LIPAC_OT_analyze(_Analysis, bpy.types.Operator):
     bl_idname = "lipac.analyze"
     bl_label = "Analyze"
 
-    def make(self, context: bpy.types.Context) -> AnalysisJob:
+    def create_job(self, context: bpy.types.Context) -> AnalysisJob:
         return AnalysisJob(context.scene)
 
-    def said(self) -> str:
+    def success_message(self) -> str:
         culled = [int(r.culled.sum()) for r in self.job.results.values()]
         total = [len(r.culled) for r in self.job.results.values()]
         needs = f"The picture needs {sum(total) - sum(culled):,} of {sum(total):,} instances"
         return f"{needs}. {analysis.LOST}" if self.job.lost else needs
 
-    def wrote(self) -> bool:
+    def needs_undo_step(self) -> bool:
         """Where renders were culled before, they are culled anew."""
         return self.job.was_applied
 
@@ -50,14 +50,14 @@ class LIPAC_OT_bake_shot(_Analysis, bpy.types.Operator):
     bl_idname = "lipac.bake_shot"
     bl_label = "Bake Shot"
 
-    def make(self, context: bpy.types.Context) -> AnalysisJob:
+    def create_job(self, context: bpy.types.Context) -> AnalysisJob:
         return AnalysisJob(context.scene, props.frame_range(context.scene), bake=True)
 
-    def said(self) -> str:
+    def success_message(self) -> str:
         kept, total = self.job.baked
         return f"The shot needs {kept:,} of {total:,} instances"
 
-    def wrote(self) -> bool:
+    def needs_undo_step(self) -> bool:
         return self.job.was_applied or self.job.baked is not None
 
 
@@ -72,15 +72,15 @@ class LIPAC_OT_difference(JobOperator, bpy.types.Operator):
         own = _unanalyzed(context) or ("Restore first: the frame is to be rendered in full, too" if applying.marks() else "")
         return super().obstacle(context) or own
 
-    def make(self, context: bpy.types.Context) -> DifferenceJob:
+    def create_job(self, context: bpy.types.Context) -> DifferenceJob:
         return DifferenceJob(context.scene)
 
-    def said(self) -> str:
+    def success_message(self) -> str:
         found = self.job.difference
         full, culled = found.seconds
         return f"{full:.1f} s in full, {culled:.1f} s culled; the picture changes by {100 * found.mean:.2f} %"
 
-    def wrote(self) -> bool:
+    def needs_undo_step(self) -> bool:
         """The image."""
         return self.job.difference is not None
 

@@ -28,7 +28,6 @@ LIGHTS = 21
 # One emitter of the tree: a lamp, or an emissive instance with its part of the triangle distribution.
 EMITTER = np.dtype([("lamp", "i4"), ("instance", "i4"), ("first", "i8"), ("count", "i8")], align=True)
 # light sample, float32[LIGHT_SAMPLE]: direction, distance, density (selection included), radiance share (lamps), barycentrics (triangles)
-D_DIR, D_T, D_PDF, D_SHARE, D_BARY = 0, 3, 4, 5, 6
 LIGHT_SAMPLE = 8
 _BSDF_RAYS = (1 << RayType.DIFFUSE) | (1 << RayType.GLOSSY) | (1 << RayType.TRANSMISSION)
 

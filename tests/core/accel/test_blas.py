@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lipac.core.accel import embree
-from lipac.core.accel.blas import LOOKS, BlasCache
+from lipac.core.accel.blas import CHECK_INTERVAL, BlasCache
 from lipac.core.accel.embree import Device
 from lipac.core.accel.tlas import Tlas
 from lipac.core.culling.analysis import analyze
@@ -68,11 +68,11 @@ def test_what_is_torn_is_built_anew() -> None:
     for shape, torn in ((lambda k: loose * (1 + 0.1 * k), 0), (lambda k: loose + 0.1 * k * away, 1)):
         cache = BlasCache([s.Mesh(loose, triangles)])
         cache.need(np.array([0]))
-        for k in range(1, LOOKS + 3):
+        for k in range(1, CHECK_INTERVAL + 3):
             now = s.Mesh(shape(k).astype(np.float32), triangles)
             cache.advance([now], np.array([0], np.int32), NONE)
             cache.need(np.array([0]))
-        assert (cache.work.built, cache.work.refitted) == (2 + torn, LOOKS + 1 - torn)
+        assert (cache.work.built, cache.work.refitted) == (2 + torn, CHECK_INTERVAL + 1 - torn)
         fresh = BlasCache([now])
         fresh.need(np.array([0]))
         for a, b in zip(*(shoot(Tlas(one(now), c, np.ones(1, bool)), *rays()) for c in (cache, fresh)), strict=True):

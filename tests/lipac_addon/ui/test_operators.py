@@ -186,7 +186,7 @@ def test_edit_mode_is_left_first(scene):
 class Modal:
     """The modal operator without an event loop: its methods on a plain object."""
 
-    modal, finish, wrote, said = (getattr(operators.LIPAC_OT_analyze, name) for name in ("modal", "finish", "wrote", "said"))
+    modal, finish, needs_undo_step, success_message = (getattr(operators.LIPAC_OT_analyze, name) for name in ("modal", "finish", "needs_undo_step", "success_message"))
     bl_label = operators.LIPAC_OT_analyze.bl_label
 
     def __init__(self, scene):
