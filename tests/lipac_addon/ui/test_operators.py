@@ -186,7 +186,8 @@ def test_edit_mode_is_left_first(scene):
 class Modal:
     """The modal operator without an event loop: its methods on a plain object."""
 
-    modal, finish, needs_undo_step, success_message = (getattr(operators.LIPAC_OT_analyze, name) for name in ("modal", "finish", "needs_undo_step", "success_message"))
+    modal, finish = operators.LIPAC_OT_analyze.modal, operators.LIPAC_OT_analyze.finish
+    needs_undo_step, success_message = operators.LIPAC_OT_analyze.needs_undo_step, operators.LIPAC_OT_analyze.success_message
     bl_label = operators.LIPAC_OT_analyze.bl_label
 
     def __init__(self, scene):
