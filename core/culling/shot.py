@@ -10,7 +10,7 @@ from ..accel.blas import BlasCache, Work
 from ..accel.embree import Device
 from ..progress import Progress, silent
 from ..scene.change import Change
-from ..scene.model import Scene
+from ..scene.model import RayType, Scene
 from .analysis import decide
 from .loop import Loop
 from .options import CullOptions
@@ -65,8 +65,18 @@ class Shot:
         else:
             loop.advance(scene, change, cancelled, pinned)
         result = decide(loop, progress)
+        seen = result.hits[:, RayType.CAMERA] > 0
+        if seen.any() and not result.active.any() and self._judges(scene):
+            loop = Loop(scene, self.options, cancelled, self.device, seen)
+            result = decide(loop, progress)
         self.loop = loop
         return result
+
+    def _judges(self, scene: Scene) -> bool:
+        """Whether a picture without any instance is no picture: things of the brightness of what is behind them, by materials that are known approximately, go
+        unseen for nothing. Where a raster shows what is culled, or memory is limited, there may be nothing to trace."""
+        limited = self.options.blas_budget_bytes or self.options.blas_budget_ms
+        return self.options.policy == "light-paths" and not self.options.by_counts and not scene.first_hits and not limited
 
     def _carried(self, blas: BlasCache, scene: Scene, change: Change) -> BlasCache:
         """What is built and did not change, for a frame that is to decide by itself. Within a budget nothing: what fits depends on what was built before."""

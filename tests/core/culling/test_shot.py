@@ -274,3 +274,15 @@ def test_other_policies_follow_too(options: CullOptions) -> None:
         else:
             np.testing.assert_array_equal(result.state, alone.state)
             assert result.stats["meshes"] == alone.stats["meshes"]
+
+
+def test_a_picture_of_nothing_is_none() -> None:
+    """A white cube under a white sky, which is all there is, is as bright as what is behind it. That no path tells them apart says little, for materials are
+    known approximately: it stays, but not where memory is limited. Beside other things it goes."""
+    white = scenes.material(base_color=(1.0, 1.0, 1.0))
+    grey = scenes.material(base_color=(0.1, 0.1, 0.1))
+    alone = scenes.build([scenes.cube()], [(0, scenes.placed((0, 0, 0)), 0)], [white])
+    assert Shot(CullOptions(width=48)).advance(alone).active.all()
+    assert not Shot(CullOptions(width=48, blas_budget_bytes=1)).advance(alone).active.any()
+    beside = scenes.build([scenes.cube()], [(0, scenes.placed((x, 0, 0)), int(x > 0)) for x in (-2, 2)], [white, grey])
+    assert Shot(CullOptions(width=48)).advance(beside).active.tolist() == [False, True]
