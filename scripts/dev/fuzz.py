@@ -33,11 +33,14 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--scenes", type=int, default=1000, metavar="N")
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="record, continued where it exists")
+    parser.add_argument("--again", action="store_true", help="kinds render, faults: repeat what of the record did not hold, and keep what it was before")
     args = parser.parse_args(argv)
     record: dict[str, Any] = {"kind": args.kind, "first": args.first, "done": 0, "failed": []}
     if args.output.exists():
         record |= json.loads(args.output.read_text())
     with checking(args.kind) as check:
+        if args.again:
+            repeat(record, check)
         for seed in range(record["first"] + record["done"], record["first"] + args.scenes):
             try:
                 found = check(seed)
@@ -56,6 +59,22 @@ def main(argv: Sequence[str]) -> int:
     write(args.output, record)
     print(f"{record['done']:,} scenes, {len(record['failed'])} failed", file=sys.stderr)
     return 1 if record["failed"] else 0
+
+
+def repeat(record: dict[str, Any], check: Callable[[int], dict[str, Any] | None]) -> None:
+    """Check the scenes of a record again that did not hold."""
+    for k, scene in enumerate(record["scenes"]):
+        if "failed" in scene or scene["verdict"] != "held":
+            record["scenes"][k] = {**(check(scene["seed"]) or {}), "before": scene.get("before", _outcome(scene))}
+    again = [scene for scene in record["scenes"] if "failed" in scene]
+    record["failed"] = [{"seed": scene["seed"], "error": scene["failed"], "features": scene["features"]} for scene in again]
+
+
+def _outcome(scene: dict[str, Any]) -> str:
+    """In a line, what a scene came to that did not hold."""
+    if "failed" in scene:
+        return str(scene["failed"])
+    return _told(scene) if scene["verdict"] == "told" else str(scene["said"][0])
 
 
 def write(path: Path, record: dict[str, Any]) -> None:
@@ -141,9 +160,10 @@ def page(record: dict[str, Any]) -> str:
         counted = Counter("failed" if "failed" in scene else scene["verdict"] for scene in having)
         lines.append(f"| {name.replace('_', ' ')} | {len(having)} | " + " | ".join(str(counted[verdict]) for verdict in verdicts) + " |")
     for title, chosen in (
-        ("Failed", [(s, s["failed"]) for s in scenes if "failed" in s]),
-        ("Refused", [(s, s["said"][0]) for s in scenes if "failed" not in s and s["verdict"] == "refused"]),
-        ("Told: the budget is broken, and the status says so", [(s, _told(s)) for s in scenes if "failed" not in s and s["verdict"] == "told"]),
+        ("Failed", [(s, _outcome(s)) for s in scenes if "failed" in s]),
+        ("Refused", [(s, _outcome(s)) for s in scenes if "failed" not in s and s["verdict"] == "refused"]),
+        ("Told: the budget is broken, and the status says so", [(s, _outcome(s)) for s in scenes if "failed" not in s and s["verdict"] == "told"]),
+        ("Repeated, after what was found was mended; before it was", [(s, s["before"]) for s in scenes if "before" in s]),
     ):
         if chosen:
             lines += ["", f"{title}:", "", *(f"- {s['seed']} ({', '.join(s['features'])}): {why}" for s, why in chosen)]
