@@ -1,6 +1,6 @@
 """The oracle: the cheapest set that any search found for an error, to judge policies by. It may look at everything and take its time.
 
-It searches as an analysis does (`calibration.Search`), but with what that cannot afford: exhaustive weights (everything active, many paths per pixel), all
+It searches as an analysis does (`error_budget.search`), but with what that cannot afford: exhaustive weights (everything active, many paths per pixel), all
 the judge's paths, and every set that some policy proposed to begin with. What it finds keeps both bounds with 95 % confidence in each tile, by those paths: of
 so many sets, one would always keep them by chance. So it is the best of a greedy search with verified error: a bound of what is known to be possible, not
 a proof of what is not.

@@ -185,7 +185,7 @@ def test_a_budget_of_bytes_is_kept(blend, tmp_path):
 STUCK = """
 import ctypes, sys, threading, os
 from lipac.scripts import lipac
-from lipac.lipac_addon import pipeline
+from lipac.lipac_addon.batch import pipeline
 sync = pipeline.Session.sync
 def stuck(self, frame):
     if frame == 2:
