@@ -84,7 +84,7 @@ def by_counts(loop: Loop, measured: Measurement, min_share: float) -> CullingRes
 def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progress = silent) -> CullingResult:
     """Cull what saves most while the picture surely changes by no more than the budget; the score is the share of the picture that an instance is worth.
 
-    What each instance is worth alone does not say what many are worth together, nor what lies behind them: `error_budget.search` traces without them and finds out.
+    What each instance is worth alone does not say what many are worth together, nor what lies behind them: `Search` traces without them and finds out.
     The sets that it finds are then judged by paths that chose none of them. Where even the smallest of them may break the budget, these paths have met what the
     others did not: all is measured again, by twice as many; once also where nothing may go, though the search says so. In the end what is not certified stays.
 
