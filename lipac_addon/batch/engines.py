@@ -76,6 +76,8 @@ def render_blender(
     Raises InputError where Blender cannot render. Ctrl-C during the render ends the process at once, for Blender cannot be asked to stop.
     """
     scene = bpy.context.scene
+    if not rendered_layers(scene):
+        raise InputError(f"scene {scene.name!r}: no view layer is used for rendering; switch one on")
     with _render_settings(scene, engine, samples, seed, threads, border), _no_file_outputs(), _stats(progress):
         start = time.perf_counter()
         try:

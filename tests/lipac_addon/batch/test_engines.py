@@ -57,6 +57,13 @@ def test_parts_of_a_film(boxes, tmp_path):
     assert (settings.media_type, settings.file_format) == ("VIDEO", "FFMPEG")
 
 
+def test_no_view_layer_is_unusable_input(boxes, tmp_path):
+    """Blender renders nothing then, without an error."""
+    boxes.view_layers[0].use = False
+    with pytest.raises(InputError, match="no view layer is used for rendering"):
+        render_blender("cycles", tmp_path / "a", samples=1)
+
+
 def test_eevee(boxes, tmp_path):
     boxes.render.resolution_percentage = 50
     render_blender("eevee", tmp_path / "a", samples=1)
