@@ -5,6 +5,7 @@ All files are written under another name and put in place at once (`files`), so 
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import os
@@ -243,8 +244,10 @@ def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, nam
         arrays["boxes"] = boxes
     if note:
         arrays["note"] = np.array(note)
+    archive = io.BytesIO()  # in memory first: a ZipFile that cannot write to a full disk complains again where it is freed, on Python 3.11
+    np.savez(archive, **arrays)
     with replacing(path) as part:
-        np.savez(part, **arrays)
+        part.write_bytes(archive.getbuffer())
 
 
 def load_states(path: Path) -> States:
