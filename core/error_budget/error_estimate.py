@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..arrays import F32, F64, I32
+from ..feedback.hits import sparse_zeros
 from ..feedback.path_log import RECORD, PathLog, attribute_to_first_hit
 from ..feedback.tiles import DARK, TILES, tiles_of
 from ..scene.film import LUMINANCE
@@ -184,7 +185,10 @@ class Reference:
         where the log leaves some of it out.
         """
         self.height, self.width, self.samples = log.shape
-        self.color = log.color.reshape(-1, 3).copy()
+        marked = np.ones(log.shape, bool) if only is None else only.astype(bool)
+        color = sparse_zeros(log.color.shape, np.float32)
+        color[marked] = log.color[marked]
+        self.color: F32 = color.reshape(-1, 3)
         self.tile: I32 = tiles_of(self.height, self.width).ravel().astype(np.int32)  # of each pixel
         self._parity = (np.arange(self.height)[:, None] + np.arange(self.width)[None, :]).ravel() % 2  # so that there are two halves with one sample too
         by_pixel = np.full(len(self.tile), self.samples) if only is None else only.reshape(len(self.tile), -1).astype(bool).sum(axis=1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import mmap
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,16 +19,16 @@ __all__ = ["COLUMNS", "ROWS", "TILES", "Feedback", "Weights"]  # the kernel's
 _FIXED = float(1 << 20)  # units of fixed point to the picture's mean luminance
 
 
-def sparse_zeros(shape: tuple[int, int]) -> I64:
-    """int64 zeros of which few are ever touched: memory by pages of 4 kB, where NumPy asks the system for pages of 2 MB, so that hits on a few hundred of a
+def sparse_zeros(shape: tuple[int, ...], dtype: Any = np.int64) -> Any:
+    """Zeros, an array of which few are ever touched: memory by pages of 4 kB, where NumPy asks the system for pages of 2 MB, so that hits on a few hundred of a
     million instances would take, and clear, all 40 MB, in every round."""
-    size = shape[0] * shape[1]
+    size, each = math.prod(shape), np.dtype(dtype).itemsize
     if hasattr(mmap, "MADV_NOHUGEPAGE"):  # private: what is only read takes nothing either
-        memory = mmap.mmap(-1, max(8 * size, 1), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        memory = mmap.mmap(-1, max(each * size, 1), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         memory.madvise(mmap.MADV_NOHUGEPAGE)
     else:
-        memory = mmap.mmap(-1, max(8 * size, 1))
-    return np.frombuffer(memory, np.int64, size).reshape(shape)
+        memory = mmap.mmap(-1, max(each * size, 1))
+    return np.frombuffer(memory, dtype, size).reshape(shape)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..arrays import F32, I32, I64
 from ..scene.film import LUMINANCE
+from .hits import sparse_zeros
 
 RECORD = 16  # int32 per path, a line of the cache: how many entries it met, then the entries; a path that met more counts as one that met everything
 
@@ -38,8 +39,8 @@ class PathLog:
 
     @staticmethod
     def zeros(height: int, width: int, samples: int) -> PathLog:
-        """Nothing traced yet."""
-        return PathLog(np.zeros((height, width, samples, RECORD), np.int32), np.zeros((height, width, samples, 3), np.float32))
+        """Nothing traced yet. Paths that never are, as of most tiles where some get many, take no memory."""
+        return PathLog(sparse_zeros((height, width, samples, RECORD), np.int32), sparse_zeros((height, width, samples, 3), np.float32))
 
     def copy(self, only: NDArray[np.uint8]) -> PathLog:
         """A copy of the paths that only, (H, W, S), marks. The others take no memory."""
