@@ -150,19 +150,21 @@ def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
 
     Where noise alone stands between a set and the budget, all is measured by more paths in the tiles in question, and the search begins anew.
     """
-    traced, first = 0, float(measured.samples.sum())
-    for k in range(DENSER_TIMES + 1):
-        within = part(progress, 1 - 0.5**k, 1 - 0.5 ** (k + 1))
+    traced, first, times = 0, float(measured.samples.sum()), 0
+    last = loop.limited  # no more paths are to be had: the search goes on in spite of doubts
+    while True:
         units, search = _search(loop, measured, budget)
-        steps = search.run(within, DOUBTS if k < DENSER_TIMES and not loop.limited else TRIALS)
+        steps = search.run(part(progress, 1 - 0.5**times, 1 - 0.5 ** (times + 1)), TRIALS if last else DOUBTS)
         traced += search.traced
+        if last or not search.doubted.any():
+            return measured, units, steps, traced
         samples = measured.samples
         more = np.where(search.doubted, np.minimum((DENSER - 1) * samples, STEEPEST * samples.min()), 0)
-        more = (more * min(((1 + MORE) * first - samples.sum()) / max(more.sum(), 1), 1.0)).astype(np.int64)
-        if k == DENSER_TIMES or loop.limited or not more.any():
-            break
-        measured = loop.measure_denser(measured, more)
-    return measured, units, steps, traced
+        more = (more * min(((1 + MORE) * first - samples.sum()) / more.sum(), 1.0)).astype(np.int64)
+        times += 1
+        last = times == DENSER_TIMES or not more.any()
+        if more.any():
+            measured = loop.measure_denser(measured, more)
 
 
 def _search(loop: Loop, measured: Measurement, budget: Budget) -> tuple[Units, Search]:
