@@ -11,12 +11,12 @@ from ..accel.region_tree import FANOUT
 from ..accel.tlas import Tlas
 from ..arrays import F64, I32
 from ..error_budget.budget import Budget, Savings
-from ..error_budget.error_estimate import CONFIDENCE, NOTHING, Reference
+from ..error_budget.error_estimate import CONFIDENCE, Reference
 from ..error_budget.search import DENSER, TRIALS, Choice, Search
 from ..error_budget.trial import Trial
 from ..error_budget.units import Units, units_of
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import TILES, marks
+from ..feedback.tiles import marks
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import MORE, STEEPEST, Certificate, Verdict
@@ -100,10 +100,9 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
         def keep_of(cull: np.ndarray, units: Units = units, ids: I32 = ids) -> np.ndarray:
             return _kept(loop, units, cull, ids)
 
-        loop.include(keep_of(steps[0].cull))
-        sets = [step.cull for step in steps]
+        sets = [step.cull for step in steps if loop.limited or step.cull.any()]
         verdict = Certificate(loop, measured.next_sample, measured.samples, budget).walk(sets, units, keep_of, part(within, 0.5, 0.9))
-        fruitless = verdict.cull is None or (attempt == 0 and len(steps) > 1 and not verdict.cull.any())
+        fruitless = verdict.cull is None or (attempt == 0 and len(sets) > 0 and not verdict.cull.any())
         if not fruitless or attempt == attempts - 1:
             break
         measured = loop.measure(None, 2 * measured.log.shape[2], part(within, 0.9, 1.0))
@@ -111,19 +110,17 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
 
 
 def _decided(loop: Loop, measured: Measurement, units: Units, steps: list[Choice], verdict: Verdict, searched: int) -> CullingResult:
-    """States and figures by what is certified; where nothing is, everything stays that fits into memory, and that is said. searched: paths of the search."""
+    """States and figures by what is certified; where nothing is, all stays that may, and that is said. searched: paths of the search."""
     warnings = []
     cull, keep, estimate, unknown = verdict.cull, verdict.keep, verdict.estimate, verdict.unknown
     if cull is None:
         cull = steps[0].cull
-        if loop.limited:
-            warnings.append(
-                f"not within the error budget: what is left out for want of bytes or milliseconds, or was not looked at, may change the picture by "
-                f"{100 * estimate.upper_mean(verdict.confidence):.2g} % in the mean, {100 * estimate.upper_worst(verdict.confidence):.2g} % in the worst tile"
-            )
-        else:
-            keep, estimate, unknown = loop.activation.exists.copy(), NOTHING, np.zeros(TILES)
-            warnings.append("the error budget could not be certified: everything is kept")
+        warnings.append(
+            f"not within the error budget: what is left out for want of bytes or milliseconds, or was not looked at, may change the picture by "
+            f"{100 * estimate.upper_mean(verdict.confidence):.2g} % in the mean, {100 * estimate.upper_worst(verdict.confidence):.2g} % in the worst tile"
+        )
+    elif len(steps) > 1 and not cull.any():
+        warnings.append("of nothing it is sure that the picture may go without it, at this error budget: everything is kept")
     ids, worth = measured.tlas.ids, measured.worth
     score = np.zeros(len(loop.activation), np.float32)
     score[ids] = worth.mean(axis=1)

@@ -51,7 +51,8 @@ class Accepted:
 class Verdict:
     """What surely keeps the budget.
 
-    cull: (U,) bool units, None where no set of the sequence does; keep: (N,) bool instances that stay. estimate: the change by that, or by the first set.
+    cull: (U,) bool units, None where no set of the sequence does, nor that nothing is culled, for builds are limited; keep: (N,) bool instances that stay.
+    estimate: the change by that, or by the first set.
     confidence: of each of its bounds. unknown: (T,) float64, what of it is charged for boxes that were not opened. paths: how many were traced.
     """
 
@@ -72,18 +73,19 @@ class Certificate:
         """
         self.loop, self.next_sample, self.samples, self.budget = loop, first_sample, samples, budget
         self.each = 1 - (1 - confidence) / (LOOKS * LEVELS)
-        self.paths = self._again = 0  # traced in all, and in doubtful tiles
+        self.paths = self._again = self._looks = 0  # traced in all, and in doubtful tiles; how often
+        self._held = np.zeros(len(loop.activation), bool)  # what the paths have in their full scene, whether they met it or not
         self._layers: list[_Layer] = []
 
     def walk(self, sets: Iterable[np.ndarray], units: Units, keep_of: Callable[[np.ndarray], np.ndarray], progress: Progress = silent) -> Verdict:
-        """Judge sets of units, (U,) bool, each a part of the next. keep_of: the instances that a set leaves, (N,) bool; the loop has those of the first in
-        its TLAS.
+        """Judge sets of units, (U,) bool, each a part of the next. keep_of: the instances that a set leaves, (N,) bool.
 
         Raises Cancelled.
         """
         full = np.zeros(TILES, bool)
         failed = 0
-        accepted: Accepted | None = None
+        nothing = Accepted(np.zeros(len(units), bool), self.loop.activation.exists.copy(), NOTHING)  # which has not to be looked at, nor built
+        accepted = None if self.loop.limited else nothing
         for k, cull in enumerate(sets):
             within = part(progress, 1 - 0.9**k, 1 - 0.9 ** (k + 1), "certifying, ")
             while True:
@@ -95,7 +97,7 @@ class Certificate:
                 whole = before | new
                 for proposed in (whole, *pieces(before, whole, units)):
                     keep = keep_of(proposed)
-                    estimate = self._judged(keep, within)
+                    estimate = self.judge(keep, within)
                     holds = estimate.surely_holds(self.budget, self.each)
                     if holds:
                         self._accept()
@@ -116,18 +118,27 @@ class Certificate:
     def _verdict(self, accepted: Accepted | None, keep: np.ndarray, estimate: ErrorEstimate) -> Verdict:
         """keep, estimate: of the set that was judged last, where none was accepted."""
         cull, keep, estimate = (None, keep, estimate) if accepted is None else (accepted.cull, accepted.keep, accepted.estimate)
-        return Verdict(cull, keep, estimate, 0.5 * (1 + self.each), self._unknown, self.paths)
+        unknown = self.unknown if cull is None or cull.any() else np.zeros(TILES)
+        return Verdict(cull, keep, estimate, 0.5 * (1 + self.each), unknown, self.paths)
 
     @property
-    def _unknown(self) -> F64:
+    def unknown(self) -> F64:
+        """(T,) float64, what is charged for boxes that are not opened."""
+        if not self._layers:
+            return np.zeros(TILES)
         return np.asarray(np.sum([layer.witness.unknown for layer in self._layers], axis=0) / self._light.luminance)
 
     @property
     def _light(self) -> Light:
         return Light.of(*(layer.reference for layer in self._layers))
 
-    def _judged(self, keep: np.ndarray, progress: Progress) -> ErrorEstimate:
+    def judge(self, keep: np.ndarray, progress: Progress = silent) -> ErrorEstimate:
         """The change by a set, (N,) bool of what stays, with as many looks as it takes to be sure, or that there are left."""
+        if (keep & ~self._held).any():  # the first set, or a part of one that broke the budget: less of the rest of the scene would be to be built else
+            self.loop.include(keep)
+            self._held |= keep
+            self._layers.clear()
+            self._again = 0
         if not self._layers:
             self._add(self.samples, progress)
         tlas = self.loop.tracer.build(keep)
@@ -140,7 +151,7 @@ class Certificate:
         for layer in self._layers:
             self.paths += layer.propose(keep, tlas)
         difference = sum((layer.trial.trace() for layer in self._layers[1:]), self._layers[0].trial.trace())
-        return self._light.estimate(difference, self._unknown)
+        return self._light.estimate(difference, self.unknown)
 
     def _accept(self) -> None:
         for layer in self._layers:
@@ -154,11 +165,12 @@ class Certificate:
         witness = self.loop.witness(self.next_sample, only, tolerated, progress)
         self.next_sample += only.shape[2]
         self.paths += int(np.count_nonzero(only))
+        self._looks += 1
         self._layers.append(_Layer(self.loop, witness, only))
 
     def _look_again(self, estimate: ErrorEstimate, progress: Progress) -> bool:
         """More paths in the tiles that doubt a set; False where they would not do."""
-        if len(self._layers) >= LOOKS:
+        if self._looks >= LOOKS:
             return False
         first, paths = self._layers[0].reference.paths, self._light.paths
         tiles = estimate.doubtful(self.budget, self.each) & (paths < DENSEST * first)

@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lipac.core.accel.tlas import Tlas
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.certificate import TOLERATED, Certificate, Verdict
+from lipac.core.culling.frame_tracer import FrameTracer
 from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.error_budget.units import Units
 from lipac.core.evaluation.judge import Judge
 from lipac.core.feedback.tiles import TILES
+from lipac.core.progress import Progress, silent
 from lipac.core.scene import model as s
 
 from .. import scenes
@@ -85,7 +88,6 @@ def certified(loop: Loop, keeps: list[np.ndarray], budget: Budget, samples: int 
     """Of a sequence of sets, each unit an instance."""
     n = len(loop.activation)
     units = Units.single(np.zeros((n, TILES)))
-    loop.include(keeps[0])
     return Certificate(loop, 0, np.full(TILES, samples), budget).walk([~keep for keep in keeps], units, lambda cull: ~cull)
 
 
@@ -94,16 +96,45 @@ def test_it_sees_what_was_never_built_and_agrees_with_brute_force() -> None:
     scene = meadow()
     keep = np.arange(len(scene.instances)) == 0
     loop = Loop(scene, CullOptions(width=SIZE[0]))
-    verdict = certified(loop, [keep], Budget(0.001, 0.005))
+    certificate = Certificate(loop, 0, np.full(TILES, 8), Budget(0.001, 0.005))
+    estimate = certificate.judge(keep)
     truth = Judge(scene, 64).change(keep)
     assert loop.activation.active.sum() > 1000  # opened for these paths
-    assert verdict.cull is None
     # 144 tiles: what is larger than 4.5 deviations comes once in a thousand runs. Changes are relative to the light of a tile, known to 6 % by 288 paths that
     # scatter as much as they bring.
-    chance = 4.5 * np.hypot(np.hypot(verdict.estimate.deviation, truth.deviation), 0.06 * truth.tiles)
-    assert (np.abs(verdict.estimate.tiles - truth.tiles) <= chance).all()
-    assert verdict.unknown.mean() <= 0.001 * TOLERATED
-    assert verdict.estimate.mean > 0.02
+    chance = 4.5 * np.hypot(np.hypot(estimate.deviation, truth.deviation), 0.06 * truth.tiles)
+    assert (np.abs(estimate.tiles - truth.tiles) <= chance).all()
+    assert certificate.unknown.mean() <= 0.001 * TOLERATED
+    assert estimate.mean > 0.02
+
+
+def test_where_nothing_may_go_nothing_does_and_no_more_is_built_than_paths_meet() -> None:
+    scene = meadow()
+    loop = Loop(scene, CullOptions(width=SIZE[0]))
+    verdict = certified(loop, [np.arange(len(scene.instances)) == 0], Budget(0.001, 0.005))
+    assert verdict.cull is not None
+    assert not verdict.cull.any()
+    assert verdict.keep.all()
+    assert verdict.estimate.worst == 0
+
+
+def test_what_no_path_meets_is_never_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small squares before a wall, of which some may go, and a thousand cubes behind it."""
+    squares = [(0, facing((1, 0, 0), (0, -1, 0), (x, 0, 0.5), 0.02, 0.02), 1) for x in np.linspace(-2, 2, 30)]
+    back = (0, facing((1, 0, 0), (0, -1, 0), (0, 3, 0), 40, 40), 0)
+    behind = [(1, scenes.placed((x, y, z), 0.1), 1) for x in range(-5, 5) for y in range(5, 15) for z in range(-5, 5)]
+    look, materials = scenes.look_at((0, -8, 0.5), (0, 0, 0.5)), [material(base_color=0.7), material(base_color=0.05)]
+    scene = scenes.build([scenes.quad(), scenes.cube()], [*squares, back, *behind], materials, look, None, (1, 1, 1), SIZE, s.PathLimits(total=1, diffuse=0))
+    most, build = 0, FrameTracer.build
+
+    def counted(self: FrameTracer, active: np.ndarray, progress: Progress = silent) -> Tlas:
+        nonlocal most
+        most = max(most, int(active.sum()))
+        return build(self, active, progress)
+
+    monkeypatch.setattr(FrameTracer, "build", counted)
+    result = analyze(scene, CullOptions(width=SIZE[0], max_error=Budget(0.01, 0.05)))
+    assert 0 < result.active.sum() < most < 100
 
 
 @pytest.mark.parametrize("first", [0, 4], ids=["step by step", "at once"])
