@@ -140,11 +140,10 @@ class FrameTracer:
         The other paths of the log stay as they are.
         """
         with self.timer.step("trace_s"):
-            records = log.records.reshape(-1, RECORD)
-            records[np.flatnonzero(only), 0] = 0
+            log.clear(only)
             feedback = Feedback.zeros(len(self.scene.instances))  # without which paths are not recorded
             self._trace(self.with_only_emitters(keep), tlas, only.shape[2], first_sample, feedback, silent, self.size, log, only)
-            renumber(records, only.reshape(-1), places(full.ids, tlas.ids))
+            renumber(log.records.reshape(-1, RECORD), only.reshape(-1), places(full.ids, tlas.ids))
 
     def with_only_emitters(self, keep: np.ndarray) -> Prepared:
         """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""

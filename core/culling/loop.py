@@ -189,7 +189,7 @@ class Loop:
             if before is not None:
                 renumber(records, 1 - only.reshape(-1), places(tlas.ids, before.ids))
             cut, boxes = self._boxes(tlas)
-            records[np.flatnonzero(only), 0] = 0
+            log.clear(only)
             weights = Weights.zeros(1, self.ambient, first=len(tlas))
             feedback, _ = self.tracer.count(prepared, tlas, only.shape[2], first_sample, boxes, weights, log=log, only=only)
             light = light if k else weights.total

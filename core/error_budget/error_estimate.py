@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..arrays import F32, F64, I32
 from ..feedback.hits import sparse_zeros
-from ..feedback.path_log import RECORD, PathLog, attribute_to_first_hit
+from ..feedback.path_log import RECORD, PathLog, attribute_to_first_hit, numbers
 from ..feedback.tiles import DARK, TILES, tiles_of
 from ..scene.film import LUMINANCE
 from .budget import Budget
@@ -207,7 +207,7 @@ class Reference:
         before, already: the log, and the difference, without those others; only: `PathLog.affected` of that log by those that are new; color: (H, W, S, 3)
         float32 of the paths marked there, traced without any of them.
         """
-        paths = np.flatnonzero(only.reshape(-1))
+        paths = numbers(only)
         then, now = ((x.reshape(-1, 3)[paths] - self.color[paths]).astype(np.float64) for x in (before.color, color))
         pixel = paths // self.samples
         place = (self._parity[pixel] + paths % self.samples) % 2 * len(self.tile) + pixel
@@ -220,7 +220,7 @@ class Reference:
         """What each of the culled units, (U,) bool with C of them, changed alone, by the paths that met an entry of it before any other of them: sums, and of
         squares, (C, T) float64, relative to a light. unit: (A,) of each TLAS entry. The rest as in `compare`.
         """
-        paths = np.flatnonzero(only.reshape(-1))
+        paths = numbers(only)
         tile = self.tile[paths // self.samples]
         number = np.where(culled, np.cumsum(culled) - 1, -1)
         change, squares = np.zeros((2, int(culled.sum()), TILES))

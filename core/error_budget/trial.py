@@ -38,7 +38,7 @@ class Trial:
         self._cull = cull
         self._changed = self.log.affected(cull & ~self._culled if len(self._culled) else cull, self._only)
         self._due = True
-        return int(np.count_nonzero(self._changed))
+        return int(np.count_nonzero(self._changed != 0))
 
     def trace(self) -> Difference:
         """What paths differ by at the proposed set."""
