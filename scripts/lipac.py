@@ -78,9 +78,17 @@ def guarded(name: str, arguments: Sequence[str]) -> int:
         return _guarded(name, arguments, stopped)
 
 
+def _reserve() -> None:
+    """Take what linear algebra works in while there is memory: where none is left, the OpenBLAS of NumPy 1 asks for it again and again, for ever."""
+    import numpy as np
+
+    np.linalg.inv(np.eye(2))
+
+
 def _guarded(name: str, arguments: Sequence[str], stopped: threading.Event) -> int:
     from ..core.errors import Cancelled, InputError
 
+    _reserve()
     try:
         status = importlib.import_module(f".{COMMANDS[name][0]}", __package__).main(arguments)
         return int(status or 0)

@@ -193,7 +193,7 @@ def hair(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
 @feature
 def points(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     """A point cloud: as an object, or by nodes."""
-    if choose.integer(0, 1):
+    if choose.integer(0, 1) or not hasattr(bpy.types.PointCloud, "resize"):  # since 5.1
         ob = put(choose, body(choose, "ball"))
         tree(ob, choose.one(("GeometryNodeMeshToPoints", "GeometryNodeDistributePointsOnFaces")))
         return
