@@ -82,7 +82,8 @@ def _reserve() -> None:
     """Take what linear algebra works in while there is memory: where none is left, the OpenBLAS of NumPy 1 asks for it again and again, for ever."""
     import numpy as np
 
-    np.linalg.inv(np.eye(2))
+    if np.lib.NumpyVersion(np.__version__) < "2.0.0":
+        np.linalg.inv(np.eye(2))
 
 
 def _guarded(name: str, arguments: Sequence[str], stopped: threading.Event) -> int:
