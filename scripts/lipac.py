@@ -24,6 +24,8 @@ COMMANDS = {
     "analyze": ("analyze", "decide which instances light paths need; no picture"),
     "render": ("render", "cull and render by Cycles, EEVEE or the path tracer"),
     "evaluate": ("evaluate", "measure speed against error for every culling policy"),
+    "farm": ("farm.write", "describe a shot as a job for a render farm: Open Job Description, Flamenco, or this machine"),
+    "shot": ("farm.step", "do a step of such a job"),
     "bench": ("bench", "measure speed against peers"),
 }
 

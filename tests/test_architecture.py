@@ -38,6 +38,8 @@ FLOORS = (
     "lipac_addon.extract",
     "lipac_addon.open lipac_addon.raster lipac_addon.writeback",
     "lipac_addon.demo lipac_addon.batch",
+    "lipac_addon.farm",
+    "lipac_addon.farm.jobs",
     "lipac_addon.ui.state",
     "lipac_addon.ui.jobs",
     "lipac_addon.ui.draw",

@@ -1,0 +1,54 @@
+"""Step `analyze`: what each frame of a chunk needs by itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from ...core.culling.options import CullOptions
+from ...core.files.atomic import is_whole, sweep
+from ...core.files.report import load_states
+from ...core.files.usage import peak_memory
+from ...core.progress import Progress, part, silent
+from ..batch.pipeline import UNREADABLE, Cancel, Job, check, decide_layers, never, sessions_of
+from .layout import FarmShot
+from .opening import open_shot
+
+Place = Callable[[int], Path]
+
+
+def analyse(shot: FarmShot, frames: Iterable[int], threads: int = 0, progress: Progress = silent, cancelled: Cancel = never) -> int:
+    """Save what frames need that are not analysed yet; returns how many were. Raises InputError, Cancelled."""
+    todo = [frame for frame in frames if note_of(shot.analysis(frame)).get("key") != shot.key]
+    if todo:
+        open_shot(shot)
+        decide_frames(shot, todo, shot.options(threads), shot.analysis, progress, cancelled)
+    return len(todo)
+
+
+def decide_frames(shot: FarmShot, frames: Sequence[int], options: CullOptions, place: Place, progress: Progress = silent, cancelled: Cancel = never) -> None:
+    """Decide frames of the open scene, each by itself, and save each where `place` says. Raises InputError, Cancelled."""
+    job = Job(shot.folder, tuple(frames), options)
+    place(frames[0]).parent.mkdir(parents=True, exist_ok=True)
+    sweep(place(frames[0]).parent, {place(frame).stem for frame in frames})
+    with ExitStack() as stack:
+        sessions = [stack.enter_context(session) for session in sessions_of(job)]
+        for k, frame in enumerate(frames):
+            check(cancelled)
+            within = part(progress, k / len(frames), (k + 1) / len(frames), f"frame {frame}: ")
+            decided = decide_layers(sessions, frame, frame == frames[-1], within, cancelled)
+            said = {"approximated": decided.approximated, "warnings": decided.warnings}
+            note = decided.entry | said | {"key": shot.key, "peak_bytes": peak_memory(), "max_error": [options.max_error.mean, options.max_error.worst]}
+            decided.save(place(frame), json.dumps(note, default=float))
+
+
+def note_of(path: Path) -> dict[str, Any]:
+    """What was noted of an analysis; empty where there is none that can be read."""
+    try:
+        note = json.loads(load_states(path).note) if is_whole(path) else {}
+    except UNREADABLE:
+        return {}
+    return note if isinstance(note, dict) else {}

@@ -1,0 +1,56 @@
+"""A shot's folder, made from the open file: what is asked, and what render nodes run."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+
+from ....core.error_budget.budget import Budget
+from ....core.errors import InputError
+from ....core.files.atomic import replacing
+from ....core.files.report import output_folder
+from ..children import HERE
+from ..layout import SCRIPT, FarmShot
+from ..opening import digest, picture_ending
+
+FRAMES_TO_A_CHECK = 25  # so that a shot of 250 frames is measured in 10
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a user says of a shot; None: as in the scene, or by default. Fields as of `FarmShot`."""
+
+    frames: tuple[int, ...] = ()
+    budget: Budget = Budget(0.01, 0.05)  # noqa: RUF009
+    paths: int = 0
+    seed: int = 0
+    resolution: tuple[int, int] | None = None
+    samples: int | None = None
+    checks: int | None = None
+
+
+def write_shot(folder: Path, scene: Path, wanted: Wanted) -> FarmShot:
+    """Write what is asked of the open file, which lies at `scene`, into a folder. Raises InputError where that cannot be a shot."""
+    output_folder(folder)
+    if scene.resolve().parent == folder.resolve() and scene.name == "shot.blend":
+        raise InputError(f"{scene} is what a shot is saved as: choose another folder with -o")
+    opened = bpy.context.scene
+    frames = wanted.frames or tuple(range(opened.frame_start, opened.frame_end + 1))
+    checks = min(len(frames), wanted.checks or max(2, -(-len(frames) // FRAMES_TO_A_CHECK)))
+    shot = FarmShot(
+        folder.resolve(),
+        scene.resolve(),
+        digest(scene),
+        frames[0],
+        frames[-1],
+        *(wanted.budget.mean, wanted.budget.worst, wanted.paths, wanted.seed, wanted.resolution, wanted.samples),
+        checks,
+        ending=picture_ending(opened),
+    )
+    with replacing(folder / SCRIPT) as part:
+        shutil.copyfile(HERE, part)
+    shot.save()
+    return shot

@@ -1,0 +1,168 @@
+"""A shot from its analysis to its certificate: repeated, split, and with what a step must notice."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from lipac.core.culling.options import State
+from lipac.core.errors import InputError
+from lipac.core.files.report import load_states, save_states
+from lipac.lipac_addon.batch.shot_set import ShotSet
+from lipac.lipac_addon.farm import analyse, certificate, children, unite, verify
+from lipac.lipac_addon.farm.layout import FarmShot, read_json
+from lipac.lipac_addon.pictures import read_picture
+
+pytestmark = pytest.mark.slow
+
+
+def times(folder: Path) -> dict[str, int]:
+    return {str(p.relative_to(folder)): p.stat().st_mtime_ns for p in folder.rglob("*") if p.is_file()}
+
+
+def all_steps(shot: FarmShot) -> dict[str, Any]:
+    analyse.analyse(shot, shot.frames)
+    unite.unite(shot)
+    children.render(shot, shot.frames)
+    for number in range(1, shot.checks + 1):
+        verify.verify(shot, number)
+    return certificate.certify(shot)
+
+
+def test_all_steps_and_all_again(shot: FarmShot) -> None:
+    """The second time nothing is written but the certificate. What it says is what the steps' files say."""
+    found = all_steps(shot)
+    before = times(shot.folder)
+    assert all_steps(shot) == json.loads((shot.folder / "certificate.json").read_text())
+    assert {name for name, at in times(shot.folder).items() if at != before.get(name)} == {"certificate.json", "certificate.html"}
+    assert (found["verified"], found["failed"], found["broken"], found["mended"]) == (2, 0, 0, [])
+    assert [frame["frame"] for frame in found["frames"]] == [1, 2, 3, 4, 5, 6]
+    assert [frame["frame"] for frame in found["frames"] if frame["verified"]] == [shot.checked(1), shot.checked(2)]
+    needed = [int((load_states(shot.analysis(frame)).state != State.CULLED).sum()) for frame in shot.frames]
+    assert [frame["analysis"]["active"] for frame in found["frames"]] == needed
+    assert max(needed) <= found["active"] < found["instances"]
+    assert all(found["peak_bytes"][name] > 1e7 for name in found["peak_bytes"])
+    assert "The other 4 frames were not looked at" in " ".join(found["statement"])
+    page = (shot.folder / "certificate.html").read_text()
+    assert all(sentence.split("%")[0] in page for sentence in found["statement"])
+
+
+def test_pictures_are_of_the_culled_file_as_any_blender_renders_it(shot: FarmShot) -> None:
+    analyse.analyse(shot, shot.frames)
+    unite.unite(shot)
+    children.render(shot, (2, 3))
+    bpy.ops.wm.open_mainfile(filepath=str(shot.culled))
+    assert any(ob.hide_render for ob in bpy.data.objects)
+    for frame in (2, 3):
+        bpy.context.scene.frame_set(frame)
+        bpy.context.scene.render.filepath = str(shot.folder / "plain.png")
+        bpy.ops.render.render(write_still=True)
+        np.testing.assert_array_equal(read_picture(shot.folder / "plain.png"), read_picture(shot.picture(frame)))
+
+
+def test_chunks_in_any_order_give_the_set_of_one(shot: FarmShot) -> None:
+    analyse.analyse(shot, shot.frames)
+    whole = unite.unite(shot)["set"]
+    (shot.folder / "analysis").rename(shot.folder / "other")
+    for chunk in ((5, 6), (1,), (2, 3, 4)):
+        analyse.analyse(shot, chunk)
+    assert unite.unite(shot)["set"] == whole
+    for frame in shot.frames:
+        a, b = (load_states(shot.folder / name / f"frame_{frame:04}.npz") for name in ("other", "analysis"))
+        for name in ("state", "score", "hits"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def mended(shot: FarmShot, frame: int) -> str:
+    note = read_json(shot.rendered(frame))
+    assert note is not None
+    return str(note["mended"])
+
+
+def cull_too_much(shot: FarmShot) -> None:
+    """Make all analyses say that nothing is needed."""
+    for frame in shot.frames:
+        states = load_states(shot.analysis(frame))
+        together = ShotSet()
+        together.add(states)
+        save_states(shot.analysis(frame), np.zeros_like(states.state), states.score, states.hits, together.keys.records, together.keys.names, states.note)
+
+
+def test_a_wrong_set_is_found_and_mended(shot: FarmShot) -> None:
+    """All frames of the span are rendered again, with what a tighter analysis of them needs; the certificate says so; a repetition changes nothing."""
+    analyse.analyse(shot, shot.frames)
+    cull_too_much(shot)
+    chosen = unite.unite(shot)
+    assert chosen["active"] == 0
+    children.render(shot, shot.frames)
+    empty = {frame: read_picture(shot.picture(frame)) for frame in shot.frames}
+    found = verify.verify(shot, 1)
+    first, *_, last = found["attempts"]
+    assert first["broken"]
+    assert first["verified_least_mean"] > shot.mean
+    assert not last["broken"]
+    assert last["mended"].startswith("0001-0003_")
+    assert all((read_picture(shot.picture(frame)) != empty[frame]).any() for frame in (1, 2, 3))
+    assert all((read_picture(shot.picture(frame)) == empty[frame]).all() for frame in (4, 5, 6))
+    assert all(mended(shot, frame) == last["mended"] for frame in (1, 2, 3))
+    before = times(shot.folder)
+    children.render(shot, shot.frames)
+    assert verify.verify(shot, 1) == found
+    assert times(shot.folder) == before
+    verify.verify(shot, 2)
+    said = certificate.certify(shot)
+    assert (said["failed"], said["broken"], said["mended"]) == (2, 0, [[1, 3], [4, 6]])
+    assert "Frames 1-3, 4-6 were analysed again, tighter, and rendered again" in " ".join(said["statement"])
+
+
+def test_where_no_analysis_helps_all_is_kept(shot: FarmShot, monkeypatch: pytest.MonkeyPatch) -> None:
+    analyse.analyse(shot, shot.frames)
+    cull_too_much(shot)
+    unite.unite(shot)
+    children.render(shot, shot.frames)
+    monkeypatch.setattr(verify, "mend", lambda shot, _number, attempt, *_: shot.scene if attempt == verify.MENDS else shot.culled)
+    attempts = verify.verify(shot, 2)["attempts"]
+    assert [one["mended"] == verify.ALL for one in attempts] == [False, False, False, True]
+    assert [one["broken"] for one in attempts] == [True, True, True, False]
+    assert attempts[-1]["verified_worst"] == 0.0
+    assert {mended(shot, frame) for frame in (4, 5, 6)} == {verify.ALL}
+
+
+def test_what_is_missing_is_named(shot: FarmShot) -> None:
+    with pytest.raises(InputError, match="not analysed, or damaged: frame_0001, frame_0002"):
+        unite.unite(shot)
+    with pytest.raises(InputError, match="unite first"):
+        children.render(shot, (1,))
+    with pytest.raises(InputError, match="run lipac shot unite"):
+        verify.verify(shot, 1)
+    analyse.analyse(shot, shot.frames)
+    shot.analysis(4).write_bytes(shot.analysis(4).read_bytes()[:1000])
+    with pytest.raises(InputError, match="damaged: frame_0004; run lipac shot analyze"):
+        unite.unite(shot)
+    assert analyse.analyse(shot, shot.frames) == 1
+    unite.unite(shot)
+    children.render(shot, (1, 2))
+    with pytest.raises(InputError, match="3, 4, 5, 6; run lipac shot render"):
+        certificate.certify(shot)
+    children.render(shot, (3, 4, 5, 6))
+    with pytest.raises(InputError, match="numbers 1, 2 of the sample"):
+        certificate.certify(shot)
+
+
+def test_a_scene_that_changed_is_refused(shot: FarmShot, rising: Path) -> None:
+    changed = FarmShot.load(shot.folder, shot.folder / "other.blend")
+    changed.scene.write_bytes(rising.read_bytes() + b" ")
+    with pytest.raises(InputError, match="has changed since the job was written"):
+        analyse.analyse(changed, (1,))
+
+
+def test_at_most() -> None:
+    """Without failures 1 - 0.05 ** (1 / n); else the quantile of the binomial distribution's other side."""
+    assert certificate.at_most(0, 10) == pytest.approx(1 - 0.05**0.1)
+    assert certificate.at_most(1, 10) == pytest.approx(0.3942, abs=1e-4)
+    assert certificate.at_most(10, 10) == pytest.approx(1.0)
