@@ -5,7 +5,7 @@
 What a step leaves, in the shot's folder (`layout`):
 
     job.json                    what is asked; its `key` stands in all that is made from it, so that nothing made otherwise counts
-    render_frames.py            renders frames in any Blender, without this add-on
+    render/render_frames.py     renders frames in any Blender, without this add-on
     analysis/frame_0001.npz     what a frame needs by itself                                  analyze
     shot.blend, shot.json       the scene with one set for all frames; which set that is      unite
     pictures/frame_0001.png     and .json: seconds, memory, from which set                    render

@@ -20,7 +20,7 @@ from ...core.files.atomic import is_whole, replacing
 
 SCHEMA = 1
 JOB = "job.json"
-SCRIPT = "render_frames.py"
+SCRIPT = "render/render_frames.py"
 
 
 @dataclass(frozen=True)

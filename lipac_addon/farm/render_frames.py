@@ -8,14 +8,20 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import secrets
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import bpy
+
+if __package__:
+    from ...core.files.atomic import replacing
+    from ...core.files.usage import peak_memory
+else:  # they lie beside the script, where a Blender without LiPaC runs it
+    sys.path.insert(0, str(Path(__file__).resolve().parent))
+    from atomic import replacing  # type: ignore[no-redef]
+    from usage import peak_memory  # type: ignore[no-redef]
 
 GRID = (4, 3)  # crops of a picture, across and up
 
@@ -96,16 +102,13 @@ def render_picture(scene: Any, folder: Path, frame: int, ending: str, stamp: dic
     """A frame's picture and note."""
     folder.mkdir(parents=True, exist_ok=True)
     picture = folder / f"frame_{frame:04}{ending}"
-    part = folder / f".frame_{frame:04}.{secrets.token_hex(8)}.part{ending}"
     scene.render.use_file_extension = True
-    start = time.perf_counter()
-    render(scene, part)
-    seconds = time.perf_counter() - start
-    note = {**stamp, "frame": frame, "seconds": seconds, "peak_bytes": peak_memory(), "bytes": part.stat().st_size, "blender": bpy.app.version_string}
-    put(part, picture)
-    written = picture.with_name(f".frame_{frame:04}.{secrets.token_hex(8)}.part.json")
-    written.write_text(json.dumps(note, indent=1) + "\n")
-    put(written, picture.with_suffix(".json"))
+    with replacing(picture) as part:
+        start = time.perf_counter()
+        render(scene, part)
+        note = {**stamp, "frame": frame, "seconds": time.perf_counter() - start, "peak_bytes": peak_memory(), "bytes": part.stat().st_size}
+    with replacing(picture.with_suffix(".json")) as part:
+        part.write_text(json.dumps(note | {"blender": bpy.app.version_string}, indent=1) + "\n")
     print(f"Saved: '{picture}'", flush=True)
 
 
@@ -136,24 +139,6 @@ def render(scene: Any, path: Path) -> None:
     bpy.ops.render.render(write_still=True, scene=scene.name)
     if not path.is_file() or not path.stat().st_size:
         raise SystemExit(f"{path} was not written: is the disk full?")
-
-
-def put(part: Path, path: Path) -> None:
-    """Put what was written in place, on the disk."""
-    with part.open("rb+") as file:
-        os.fsync(file.fileno())
-    os.replace(part, path)
-
-
-def peak_memory() -> int:
-    """Largest resident memory of this process so far, bytes; 0 where the system does not tell."""
-    if sys.platform == "linux":  # ru_maxrss begins with the size of who started it
-        return next(int(line.split()[1]) * 1024 for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM:"))
-    if sys.platform == "win32":
-        return 0
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ PLATFORMS = {
 PAGES = ("user-guide", "write-back", "live")  # of docs/: the manual of the panel's controls
 STYLE = "body{max-width:60em;margin:2em auto;font:16px/1.5 sans-serif}img{max-width:100%}td,th{padding:.2em .6em;text-align:left;border:1px solid #ccc}"
 PACKAGES = ("core", "lipac_addon", "scripts")
-SUFFIXES = {".py", ".npz", ".c", ".sh"}
+SUFFIXES = {".py", ".npz", ".c", ".sh", ".js"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from ...core.progress import Progress
     from ...lipac_addon.batch.pipeline import Cancel
 
-FARMS = ("openjd",)
+FARMS = ("openjd", "flamenco", "local")
 
 
 def main(argv: Sequence[str]) -> int:
@@ -22,7 +22,7 @@ def main(argv: Sequence[str]) -> int:
     parser = Parser(prog="lipac farm", description="Describe a shot as a job: analyse its frames, unite, render, verify a sample, certify.")
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help=".blend; inside Blender: the open file")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="the shot's folder, which all machines share")
-    parser.add_argument("--for", dest="farm", choices=FARMS, default="openjd", help="who runs it (default: %(default)s)")
+    parser.add_argument("--for", dest="farm", choices=FARMS, default="openjd", help="who runs it; local: this machine, at once (default: %(default)s)")
     parser.add_argument("--frames", type=frame_range, default=(), metavar="A-B", help="of the shot (default: the scene's)")
     parser.add_argument("--resolution", type=resolution, metavar="WxH", help="size of the picture (default: the scene's)")
     parser.add_argument("--samples", type=sample_count, metavar="N", help="per pixel (default: the scene's)")
@@ -33,7 +33,8 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--chunk", type=count, default=10, metavar="N", help="frames to a task (default: %(default)s)")
     parser.add_argument("--lipac", default="", metavar="PATH", help="the lipac command on the farm's machines (default: this one)")
     parser.add_argument("--blender", default="", metavar="PATH", help="the Blender there, or a Python with the module bpy (default: this one)")
-    parser.add_argument("--no-measure", action="store_true", help="ask for no memory; else one frame is analysed, and a part of it rendered")
+    parser.add_argument("--workers", type=count, metavar="N", help="--for local: processes at a time (default: one for every 8 cores)")
+    parser.add_argument("--no-measure", action="store_true", help="--for openjd: ask for no memory; else one frame is analysed, and a part of it rendered")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     args = parser.parse_args(argv)
     with progress_of(args.quiet) as progress, ctrl_c() as cancelled:
@@ -52,8 +53,8 @@ def written(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> 
     with muted():
         import bpy
     from ...lipac_addon.farm import children
-    from ...lipac_addon.farm.jobs import measure, openjd
-    from ...lipac_addon.farm.jobs.graph import graph
+    from ...lipac_addon.farm.jobs import flamenco, local, measure, openjd
+    from ...lipac_addon.farm.jobs.graph import Programs, graph
     from ...lipac_addon.farm.jobs.writing import Wanted, write_shot
     from ...lipac_addon.open import open_scene
     from ..streams import say
@@ -65,9 +66,13 @@ def written(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> 
         raise InputError(f"{scene}: save it as a .blend first: that is what a farm's machines open")
     wanted = Wanted(args.frames, Budget.parse(args.max_error), args.paths, args.seed, args.resolution, args.samples, args.verify)
     shot = write_shot(args.output, scene, wanted)
-    lipac = args.lipac or str(Path(sys.executable).with_name("lipac"))
-    blender, *plain = children.program(args.blender)
-    measured = None if args.no_measure else measure.measure(shot, [lipac], args.blender, progress, cancelled)
-    steps = graph(shot, args.chunk, measured, tuple(plain))
-    say(f"{shot.folder} holds the job; for example: {openjd.write(shot, steps, lipac, blender)}", sys.stdout)
+    programs = Programs(children.lipac_program(args.lipac), children.program(args.blender))
+    measured = None if args.no_measure or args.farm != "openjd" else measure.measure(shot, programs.lipac, args.blender, progress, cancelled)
+    steps = graph(shot, args.chunk, programs, measured)
+    if args.farm == "local":
+        status, text = local.run_here(shot, steps, programs, args.workers or local.processes(), progress, cancelled)
+        say(text.strip(), sys.stdout)
+        return status
+    how = flamenco.write(shot, args.chunk, programs) if args.farm == "flamenco" else openjd.write(shot, steps, programs)
+    say(f"{shot.folder} holds the job: {how}", sys.stdout)
     return 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,9 +49,17 @@ class Step:
         return out
 
 
-def graph(shot: FarmShot, chunk: int, measured: dict[str, Any] | None = None, plain: tuple[str, ...] = ()) -> list[Step]:
-    """The steps of a shot, in an order that they can be done in. chunk: frames to a task; measured: as of `measure`; plain: as of `children.program`, without
-    the program itself."""
+@dataclass(frozen=True)
+class Programs:
+    """Begins of command lines: of what does a step (`children.lipac_program`), and of a Blender that runs a script (`children.program`)."""
+
+    lipac: Sequence[str]
+    blender: Sequence[str]
+
+
+def graph(shot: FarmShot, chunk: int, programs: Programs, measured: dict[str, Any] | None = None) -> list[Step]:
+    """The steps of a shot, in an order that they can be done in. chunk: frames to a task; measured: as of `measure`. Arguments begin with what
+    programs have after the path."""
     took = measured or {}
     analysis, full = took.get("analysis", {}), took.get("full", {})
 
@@ -64,16 +72,17 @@ def graph(shot: FarmShot, chunk: int, measured: dict[str, Any] | None = None, pl
 
     decide, draw = analysis.get("seconds"), full.get("seconds")
     mending = None if decide is None or draw is None else MENDS * decide * len(shot.span(1)) + draw * (len(shot.span(1)) + 2)
+    lipac, plain = programs.lipac[1:], programs.blender[1:]
     own, frames = ("--scene", SCENE, "--quiet"), ("--frames", ITEMS)
     script = (*plain, f"{FOLDER}/{SCRIPT}", "--", FOLDER, *frames)
     rendered, sample = timeout(_times(draw, chunk)), tuple(range(1, shot.checks + 1))
-    check = ("shot", "verify", FOLDER, "--check", ITEMS, "--blender", BLENDER, *own)
+    check = (*lipac, "verify", FOLDER, "--check", ITEMS, "--blender", BLENDER, *own)
     return [
-        Step("analyze", (), LIPAC, ("shot", "analyze", FOLDER, *frames, *own), shot.frames, FRAMES, chunk, timeout(_times(decide, chunk)), memory(analysis)),
-        Step("unite", ("analyze",), LIPAC, ("shot", "unite", FOLDER, *own), timeout=timeout(decide), memory=memory(analysis)),
+        Step("analyze", (), LIPAC, (*lipac, "analyze", FOLDER, *frames, *own), shot.frames, FRAMES, chunk, timeout(_times(decide, chunk)), memory(analysis)),
+        Step("unite", ("analyze",), LIPAC, (*lipac, "unite", FOLDER, *own), timeout=timeout(decide), memory=memory(analysis)),
         Step("render", ("unite",), PLAIN, script, shot.frames, FRAMES, chunk, rendered, memory(full)),
         Step("verify", ("render",), LIPAC, check, sample, SAMPLE, 1, timeout(mending), memory(full, analysis)),
-        Step("certify", ("verify",), LIPAC, ("shot", "certify", FOLDER, "--quiet"), timeout=LEAST),
+        Step("certify", ("verify",), LIPAC, (*lipac, "certify", FOLDER, "--quiet"), timeout=LEAST),
     ]
 
 

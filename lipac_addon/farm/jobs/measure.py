@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ from ..children import crops_of, run
 from ..layout import FarmShot, read_json, write_json
 
 
-def measure(shot: FarmShot, lipac: list[str], blender: str = "", progress: Progress = silent, cancelled: Cancel = never) -> dict[str, Any]:
-    """Seconds of a frame and peak memory of its process, `analysis` and `full`, in bytes; kept as measured.json. lipac: the command, as a list.
+def measure(shot: FarmShot, lipac: Sequence[str], blender: str = "", progress: Progress = silent, cancelled: Cancel = never) -> dict[str, Any]:
+    """Seconds of a frame and peak memory of its process, `analysis` and `full`, in bytes; kept as measured.json. lipac: as of `children.lipac_program`.
 
     Raises InputError where the frame cannot be analysed or rendered, Cancelled.
     """
@@ -24,7 +25,7 @@ def measure(shot: FarmShot, lipac: list[str], blender: str = "", progress: Progr
         return known
     frame = shot.frames[len(shot.frames) // 2]
     progress(0.0, f"measuring the analysis of frame {frame}")
-    run([*lipac, "shot", "analyze", str(shot.folder), "--scene", str(shot.scene), "--frames", str(frame), "--quiet"], cancelled)
+    run([*lipac, "analyze", str(shot.folder), "--scene", str(shot.scene), "--frames", str(frame), "--quiet"], cancelled)
     note = note_of(shot.analysis(frame))
     progress(0.5, f"measuring the render of frame {frame}")
     with tempfile.TemporaryDirectory(prefix="lipac") as place:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..layout import FarmShot, write_json
-from .graph import BLENDER, FOLDER, FRAMES, ITEMS, LIPAC, SCENE, Step
+from .graph import BLENDER, FOLDER, FRAMES, ITEMS, LIPAC, SCENE, Programs, Step
 
 TEMPLATE = "template.json"
 NOTICE = 30  # seconds between asking a task to end, and ending it
@@ -33,12 +33,12 @@ def template(name: str, steps: list[Step]) -> dict[str, Any]:
     }
 
 
-def write(shot: FarmShot, steps: list[Step], lipac: str, blender: str) -> str:
+def write(shot: FarmShot, steps: list[Step], programs: Programs) -> str:
     """Write the template, and its parameters' values on this machine, into the shot's folder: for `openjd run` and as Deadline Cloud's job bundles have them.
 
     Returns how it is run.
     """
-    values = {"Folder": str(shot.folder), "Scene": str(shot.scene), "LiPaC": lipac, "Blender": blender}
+    values = {"Folder": str(shot.folder), "Scene": str(shot.scene), "LiPaC": programs.lipac[0], "Blender": programs.blender[0]}
     path, given = shot.folder / TEMPLATE, shot.folder / "parameters.json"
     write_json(path, template(f"{shot.scene.stem} {shot.first}-{shot.last}", steps))
     write_json(given, values)

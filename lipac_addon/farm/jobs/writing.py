@@ -10,9 +10,9 @@ import bpy
 
 from ....core.error_budget.budget import Budget
 from ....core.errors import InputError
-from ....core.files.atomic import replacing
+from ....core.files import atomic, usage
 from ....core.files.report import output_folder
-from ..children import HERE
+from .. import render_frames
 from ..layout import SCRIPT, FarmShot
 from ..opening import digest, picture_ending
 
@@ -50,7 +50,10 @@ def write_shot(folder: Path, scene: Path, wanted: Wanted) -> FarmShot:
         checks,
         ending=picture_ending(opened),
     )
-    with replacing(folder / SCRIPT) as part:
-        shutil.copyfile(HERE, part)
+    for source in (Path(render_frames.__file__), Path(atomic.__file__), Path(usage.__file__)):
+        copied = (folder / SCRIPT).with_name(source.name)
+        copied.parent.mkdir(exist_ok=True)
+        with atomic.replacing(copied) as part:
+            shutil.copyfile(source, part)
     shot.save()
     return shot

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,7 @@ from lipac.lipac_addon.batch.shot_set import ShotSet
 from lipac.lipac_addon.farm import analyse, certificate, children, unite, verify
 from lipac.lipac_addon.farm.layout import FarmShot, read_json
 from lipac.lipac_addon.pictures import read_picture
+from lipac.scripts.lipac import main
 
 pytestmark = pytest.mark.slow
 
@@ -159,6 +163,23 @@ def test_a_scene_that_changed_is_refused(shot: FarmShot, rising: Path) -> None:
     changed.scene.write_bytes(rising.read_bytes() + b" ")
     with pytest.raises(InputError, match="has changed since the job was written"):
         analyse.analyse(changed, (1,))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no limit of file sizes")
+@pytest.mark.parametrize("step", ["analyze", "unite", "render"])
+def test_a_full_disk_leaves_nothing_half(shot: FarmShot, step: str) -> None:
+    """Here no file may be larger than 600 bytes: the step fails, what it would have written is not there, and with room again it is done."""
+    before = {"analyze": (), "unite": ("analyze",), "render": ("analyze", "unite")}[step]
+    for earlier in before:
+        assert main(["shot", earlier, str(shot.folder), "--quiet"]) == 0
+    there = set(times(shot.folder))
+    limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (600, resource.RLIM_INFINITY)); "
+    code = limited + "from lipac.scripts.lipac import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run([sys.executable, "-c", code, "shot", step, str(shot.folder), "--quiet"], capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode in (1, 2), done.stderr
+    assert not {name for name in times(shot.folder) if not Path(name).name.startswith(".")} - there
+    assert main(["shot", step, str(shot.folder), "--quiet"]) == 0
+    assert set(times(shot.folder)) > there
 
 
 def test_at_most() -> None:

@@ -1,0 +1,31 @@
+"""A shot as a job of Flamenco 3: the job type, which the manager compiles, and a job of it, as its API takes it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from ....core.files.atomic import replacing
+from ..layout import FarmShot, write_json
+from .graph import Programs
+
+JOB_TYPE = Path(__file__).with_name("lipac_shot.js")
+
+
+def write(shot: FarmShot, chunk: int, programs: Programs) -> str:
+    """Write the job type's script and a job into the shot's folder; returns what is to be done with them. chunk: frames to a task."""
+    script = shot.folder / JOB_TYPE.name
+    with replacing(script) as part:
+        shutil.copyfile(JOB_TYPE, part)
+    settings = {
+        "frames": f"{shot.first}-{shot.last}",
+        **{"chunk_size": chunk, "max_error": shot.mean, "verify": shot.checks},
+        **{"shot_folder": str(shot.folder), "blendfile": str(shot.scene), "lipac": programs.lipac[0]},
+    }
+    name, kind = f"{shot.scene.stem} {shot.first}-{shot.last}", JOB_TYPE.stem.replace("_", "-")  # as the manager names types
+    job = {"name": name, "type": kind, "priority": 50, "submitter_platform": "manager", "settings": settings}
+    write_json(shot.folder / "flamenco_job.json", job)
+    return (
+        f"copy {script} into the folder scripts beside flamenco-manager; then Flamenco's panel has it, or "
+        f"curl -H 'Content-Type: application/json' -d @{shot.folder / 'flamenco_job.json'} MANAGER/api/v3/jobs"
+    )
