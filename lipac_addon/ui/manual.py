@@ -18,7 +18,7 @@ _MANUAL = (
     ("bpy.ops.lipac.mark", "pin-and-ignore"),
     ("bpy.ops.lipac.clear_cache", "preferences"),
     ("bpy.ops.lipac.difference", "what-it-saves"),
-    ("bpy.ops.lipac.bake_shot", "animations-and-shots"),
+    *((f"bpy.ops.lipac.{name}", "animations-and-shots") for name in ("bake_shot", "submit_shot")),
     ("bpy.ops.lipac.*", "three-clicks"),
 )
 

@@ -22,6 +22,7 @@ from .operators import (
     LIPAC_OT_restore,
 )
 from .state import applying, props, results
+from .submit import LIPAC_OT_submit_shot
 
 
 def _table(layout: bpy.types.UILayout, rows: list[tuple[str, str]]) -> None:
@@ -105,7 +106,9 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator(LIPAC_OT_apply.bl_idname, depress=settings.applied)
         row.operator(LIPAC_OT_restore.bl_idname)
-        layout.operator(LIPAC_OT_bake_shot.bl_idname)
+        row = layout.row(align=True)
+        row.operator(LIPAC_OT_bake_shot.bl_idname)
+        row.operator(LIPAC_OT_submit_shot.bl_idname, text="Submit Shot...")
         layout.prop(settings, "use_for_renders")
         line, alert = applying.status(context.scene)
         column = layout.column(align=True)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import atexit
 
-from . import handlers, manual, operators, panel
+from . import handlers, manual, operators, panel, submit
 from .draw import overlay
 from .jobs import job, live
 from .state import props, results
 
-_MODULES = (props, operators, panel, manual, overlay, handlers)
+_MODULES = (props, operators, submit, panel, manual, overlay, handlers)
 
 
 def register() -> None:

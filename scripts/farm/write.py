@@ -53,8 +53,9 @@ def written(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> 
     with muted():
         import bpy
     from ...lipac_addon.farm import children
-    from ...lipac_addon.farm.jobs import flamenco, local, measure, openjd
+    from ...lipac_addon.farm.jobs import local, measure
     from ...lipac_addon.farm.jobs.graph import Programs, graph
+    from ...lipac_addon.farm.jobs.submitting import describe
     from ...lipac_addon.farm.jobs.writing import Wanted, write_shot
     from ...lipac_addon.open import open_scene
     from ..streams import say
@@ -68,11 +69,9 @@ def written(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> 
     shot = write_shot(args.output, scene, wanted)
     programs = Programs(children.lipac_program(args.lipac), children.program(args.blender))
     measured = None if args.no_measure or args.farm != "openjd" else measure.measure(shot, programs.lipac, args.blender, progress, cancelled)
-    steps = graph(shot, args.chunk, programs, measured)
     if args.farm == "local":
-        status, text = local.run_here(shot, steps, programs, args.workers or local.processes(), progress, cancelled)
+        status, text = local.run_here(shot, graph(shot, args.chunk, programs), programs, args.workers or local.processes(), progress, cancelled)
         say(text.strip(), sys.stdout)
         return status
-    how = flamenco.write(shot, args.chunk, programs) if args.farm == "flamenco" else openjd.write(shot, steps, programs)
-    say(f"{shot.folder} holds the job: {how}", sys.stdout)
+    say(describe(shot, args.farm, args.chunk, programs, measured), sys.stdout)
     return 0

@@ -21,6 +21,7 @@ def write(shot: FarmShot, chunk: int, programs: Programs) -> str:
         "frames": f"{shot.first}-{shot.last}",
         **{"chunk_size": chunk, "max_error": shot.mean, "verify": shot.checks},
         **{"shot_folder": str(shot.folder), "blendfile": str(shot.scene), "lipac": programs.lipac[0]},
+        "options": options_of(shot),
     }
     name, kind = f"{shot.scene.stem} {shot.first}-{shot.last}", JOB_TYPE.stem.replace("_", "-")  # as the manager names types
     job = {"name": name, "type": kind, "priority": 50, "submitter_platform": "manager", "settings": settings}
@@ -29,3 +30,10 @@ def write(shot: FarmShot, chunk: int, programs: Programs) -> str:
         f"copy {script} into the folder scripts beside flamenco-manager; then Flamenco's panel has it, or "
         f"curl -H 'Content-Type: application/json' -d @{shot.folder / 'flamenco_job.json'} MANAGER/api/v3/jobs"
     )
+
+
+def options_of(shot: FarmShot) -> str:
+    """What `lipac farm` is to be given so that it writes this shot again."""
+    given = {"max-error": f"{shot.mean},{shot.worst}", "paths": shot.paths or None, "seed": shot.seed, "samples": shot.samples}
+    given["resolution"] = "{}x{}".format(*shot.resolution) if shot.resolution else None
+    return " ".join(f"--{name} {value}" for name, value in given.items() if value is not None)

@@ -22,6 +22,8 @@ const JOB_TYPE = {
           description: "Folder for pictures and all else of the shot, which all workers see" },
         { key: "lipac", type: "string", default: "lipac", visible: "submission", label: "LiPaC",
           description: "The lipac command of the workers; a variable of the manager's, such as {lipac}, may stand for it" },
+        { key: "options", type: "string", default: "", visible: "submission",
+          description: "More options of lipac farm, such as --samples 64" },
         { key: "blendfile", type: "string", required: true, description: "Path of the Blend file", visible: "web" },
     ],
 };
@@ -39,7 +41,7 @@ function compileJob(job) {
     const prepare = step(settings, "prepare", [
         "farm", settings.blendfile, "-o", settings.shot_folder, "--for", "flamenco", "--no-measure", "--frames", `${frames.first}-${frames.last}`,
         "--max-error", `${settings.max_error}`, "--verify", `${checks}`, "--chunk", `${settings.chunk_size}`, "--quiet",
-    ]);
+    ].concat(settings.options ? shellSplit(settings.options) : []));
     const analyze = chunks.map((chunk) => shotStep(settings, `analyze-${chunk}`, "analyze", ["--frames", chunk].concat(own)));
     const unite = shotStep(settings, "unite", "unite", own);
     const render = chunks.map((chunk) => renderTask(settings, chunk));
