@@ -18,7 +18,8 @@ from ..keys import Keys, Kind
 from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera, newer_than_tested
 from .differences import compare
 from .geometry.meshes import LazyMeshes
-from .graph import GraphReader, Node
+from .graph import GraphReader
+from .graph_items import Node
 from .instances import Placed, Placer
 from .lights import place_lamps
 from .materials.displacement import Relief
@@ -92,7 +93,7 @@ class SceneReader:
         camera = None if _stand_in(scene) else extract_camera(scene.camera, scene, film)
         nodes = graph.read(depsgraph, goes_on)
         shading = self._shading.read(graph)
-        graph.meshes.displace(self._reliefs(shading, nodes))
+        graph.geometry.meshes.displace(self._reliefs(shading, nodes))
         placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(nodes)
         if not len(placed.rows):
             raise NothingToAnalyse([*graph.unsupported])
@@ -101,8 +102,8 @@ class SceneReader:
             camera = frame_camera(bounds, film)
             placed = Placer(graph, scene_origin(camera), camera, self._placed).place(nodes)  # once more, with all digits where it is looked at
         pairs = {pair for block in placed.blocks for pair in block.pairs}
-        deformed, replaced = graph.meshes.finish(self._textured(pairs, shading), shading.uv_maps)
-        approximated, warnings = dict.fromkeys(graph.unsupported), dict.fromkeys((*newer_than_tested(), *graph.warnings))
+        deformed, replaced = graph.geometry.meshes.finish(self._textured(pairs, shading), shading.uv_maps)
+        approximated, warnings = dict.fromkeys(graph.unsupported), dict.fromkeys((*newer_than_tested(), *graph.geometry.warnings))
         lights = self._lights(placed, approximated, warnings)
         dropped: dict[str, int] = {}
         for block in placed.blocks:
@@ -115,8 +116,8 @@ class SceneReader:
         to_world[:, 3] -= placed.origin
         result = Scene(
             instances=placed.rows.instances(),
-            meshes=LazyMeshes(graph.meshes.sources, shading.uv_maps),
-            mesh_bounds=graph.meshes.bounds(),
+            meshes=LazyMeshes(graph.geometry.meshes.sources, shading.uv_maps),
+            mesh_bounds=graph.geometry.meshes.bounds(),
             slot_materials=shading.slot_materials,
             materials=shading.materials,
             lights=lights,
@@ -162,8 +163,8 @@ class SceneReader:
         out: dict[int, Relief] = {}
         if not any(shading.reliefs):
             return out
-        for mesh, offset in sorted(self.graph.pairs):
-            count = self.graph.meshes.source(mesh).slot_count
+        for mesh, offset in sorted(self.graph.geometry.pairs):
+            count = self.graph.geometry.meshes.source(mesh).slot_count
             found = [shading.reliefs[material] for material in shading.slot_materials[offset : offset + count].tolist()]
             relief = out.get(mesh)
             displaced = [one is not None for one in found]
@@ -184,7 +185,7 @@ class SceneReader:
         if not shading.textured.any():
             return set()
         table = shading.textured[shading.slot_materials]
-        return {mesh for mesh, offset in pairs if table[offset : offset + self.graph.meshes.source(mesh).slot_count].any()}
+        return {mesh for mesh, offset in pairs if table[offset : offset + self.graph.geometry.meshes.source(mesh).slot_count].any()}
 
 
 def _stand_in(scene: Any) -> bool:

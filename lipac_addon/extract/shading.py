@@ -59,7 +59,7 @@ class ShadingReader:
 
     def read(self, reader: GraphReader) -> Shading:
         """The materials of what the reader found, in the order in which it found them; the same object as in the frame before where nothing changed."""
-        order, table, last = tuple(reader.slots.order), reader.slots.table(), self._last
+        order, table, last = tuple(reader.geometry.slots.order), reader.geometry.slots.table(), self._last
         listed = [update.id for update in reader.listed.values()] if reader.listed is not None else None
         if last is not None and listed is not None and order == self._order and not any(_shades(block) for block in listed):
             if not np.array_equal(table, last.slot_materials):
@@ -67,7 +67,7 @@ class ShadingReader:
         else:
             changed = {block.name_full for block in listed or () if type(block).__name__ == "Image"}
             self._pixels = {key: pixels for key, pixels in self._pixels.items() if key[0] not in changed}
-            now = self._convert(order, reader.materials, table)
+            now = self._convert(order, reader.geometry.materials, table)
             last = last if last is not None and last.same(now) else now
         self._last, self._order = last, order
         return last

@@ -1,0 +1,113 @@
+"""What a dependency graph consists of, as far as it shows anything: objects and collections, and who of them is visible."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...core.arrays import F64
+from ..keys import Kind
+from .geometry.geometry_sets import Geometry
+from .lights import LampData
+
+
+@dataclass(eq=False)
+class Members:
+    """A collection as it is instanced: visible objects, with the place of each among all objects of the collection.
+
+    changed: the frame in which it became what it is; seen: the last frame in which it was looked at.
+    """
+
+    collection: Any  # bpy.types.Collection, of the graph
+    full_name: str
+    offset: F64
+    objects: list[tuple[int, Node]] = field(default_factory=list)
+    changed: int = 0
+    seen: int = 0
+
+
+@dataclass(eq=False)
+class Node:
+    """An evaluated object. `geometry` holds its own mesh even where it instances nothing. changed, seen: as of `Members`, but for what it refers to."""
+
+    item: Any  # bpy.types.Object, of the graph
+    key: int
+    full_name: str
+    name: int
+    world: F64
+    visible: int
+    marks: int
+    shown: bool = True  # the object itself, beside what it instances
+    geometry: Geometry | None = None
+    lamp: LampData | None = None
+    collection: Any = None
+    collection_name: str = ""
+    kind: Kind = Kind.OBJECT  # how it instances, OBJECT: not at all
+    recursive: bool = True  # what it instances may instance in turn
+    replaced: bool = False  # shown only by its parent's vertex or face instancing
+    alone: bool = False  # shows its mesh only where it is not instanced
+    unsupported: tuple[str, ...] = ()
+    data: int = 0  # address of a lamp's data
+    changed: int = 0
+    seen: int = 0
+
+    def same(self, other: Node) -> bool:
+        """Whether it shows and instances the same in the same place."""
+        plain = ("visible", "marks", "shown", "collection_name", "kind", "recursive", "replaced", "alone", "lamp")
+        return (
+            all(getattr(self, name) == getattr(other, name) for name in plain)
+            and np.array_equal(self.world, other.world, equal_nan=True)
+            and (self.geometry is other.geometry or (self.geometry is not None and other.geometry is not None and self.geometry.same(other.geometry)))
+        )
+
+
+def matrix(value: Any) -> F64:
+    """(3, 4) float64 of a mathutils.Matrix."""
+    return np.array(value, np.float64)[:3]
+
+
+def full_name(data: Any) -> str:
+    """Name that finds a datablock again: for linked ones the library path and the name, with a newline between."""
+    return f"{data.library.filepath}\n{data.name}" if data.library is not None else str(data.name)
+
+
+def ray_visibility(item: Any) -> int:
+    """Bits per RayType of an object's ray visibility."""
+    flags = (item.visible_camera, item.visible_diffuse, item.visible_glossy, item.visible_transmission, item.visible_shadow)
+    return sum(1 << bit for bit, on in enumerate(flags) if on)
+
+
+def legacy_instancing(item: Any, lines: dict[str, None]) -> Kind | None:
+    """PARTICLE or DUPLI where an object instances by these."""
+    kind = None
+    for system in item.particle_systems:
+        settings = system.settings
+        if settings.render_type in {"OBJECT", "COLLECTION"}:
+            kind = Kind.PARTICLE
+        elif settings.render_type == "PATH" and settings.type == "HAIR":
+            lines.setdefault(f"object {item.name}: hair strands not rendered")
+    return Kind.DUPLI if kind is None and item.instance_type in {"VERTS", "FACES"} else kind
+
+
+def visible_members(collection: Any) -> Iterator[Any]:
+    """Objects of an instanced collection that render: neither they nor a collection on the way hidden."""
+    if collection.hide_render:
+        return
+    for item in collection.objects:
+        if not item.hide_render:
+            yield item
+    for child in collection.children:
+        yield from visible_members(child)
+
+
+def render_objects(layer: Any) -> Iterator[Any]:
+    """Objects that a view layer renders, seen from its tree of layer collections."""
+    if layer.collection.hide_render:
+        return
+    if not layer.exclude:
+        yield from layer.collection.objects
+    for child in layer.children:
+        yield from render_objects(child)
