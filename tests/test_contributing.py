@@ -14,6 +14,7 @@ import lipac
 from lipac.core.culling.policies import POLICIES
 from lipac.core.scene.model import RayType
 from lipac.lipac_addon.extract.materials import nodes
+from lipac.lipac_addon.extract.materials.reader import Reader, Value, View
 
 from .core.culling.test_loop import CASTER, FLOOR, MIRROR, SEEN, stage
 from .lipac_addon.conftest import boxes  # noqa: F401
@@ -39,7 +40,7 @@ def test_a_policy() -> None:
 def test_a_node(boxes: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
     import bpy
 
-    namespace: dict[str, Any] = {"np": np, "Any": Any, "Value": nodes.Value}
+    namespace: dict[str, Any] = {"np": np, "Any": Any, "Value": Value, "Reader": Reader}
     exec(EXAMPLES[1], namespace)
     tree = bpy.data.materials.new("m")
     tree.use_nodes = True
@@ -51,11 +52,11 @@ def test_a_node(boxes: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F
     lines: list[str] = []
 
     def read() -> float:
-        reader = nodes.Reader(None, lines.append, nodes.View(RayType.CAMERA, False))  # type: ignore[arg-type]
+        reader = Reader(None, lines.append, View(RayType.CAMERA, False), nodes)  # type: ignore[arg-type]
         return reader.value(target).scalar
 
     read()
     assert lines == ["Float Curve node replaced by a constant"]  # not followed yet: else the page needs another example
-    monkeypatch.setattr(nodes.Reader, "node_curve_float", namespace["node_curve_float"], raising=False)
+    monkeypatch.setattr(nodes, "node_curve_float", namespace["node_curve_float"], raising=False)
     assert read() == pytest.approx(0.6, abs=1e-3)
     assert len(lines) == 1

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ...core.arrays import I32, Records
 from ...core.scene.model import Textures
 from .graph import GraphReader
-from .materials.converter import MaterialTable
 from .materials.displacement import Relief
+from .materials.material_table import MaterialTable
 from .materials.textures import Pixels, TextureTable
 
 _CLASSES = ("Material", "NodeTree", "Texture", "Image")

@@ -42,7 +42,6 @@ class Relief:
         """What holds for both."""
         return self if other is None else replace(self, low=min(self.low, other.low), high=max(self.high, other.high), world=self.world or other.world)
 
-
     def scaled(self, factor: float) -> Relief:
         """Larger by a factor, where that is more than 1."""
         return replace(self, low=min(self.low, self.low * factor), high=max(self.high, self.high * factor))

@@ -12,7 +12,7 @@ import pytest
 from lipac.core.arrays import Records
 from lipac.core.scene.model import MATERIAL, VIEWS, Extension, RayType, Shader, Textures, default_material
 from lipac.lipac_addon.extract import extract_frame
-from lipac.lipac_addon.extract.materials.converter import MaterialTable
+from lipac.lipac_addon.extract.materials.material_table import MaterialTable
 from lipac.lipac_addon.extract.materials.textures import TextureTable, srgb_to_linear
 
 from ..conftest import add, cube

@@ -1,0 +1,162 @@
+"""Values of shader sockets: a constant, an image times a factor, or the pixels that a chain of nodes makes of images.
+
+Works on trees from `inline_shader_nodes()`: Blender has dissolved groups, reroutes, muted nodes and constant arithmetic there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arithmetic import Array
+from .textures import ImageUse, TextureTable
+
+LUMINANCE = np.array([0.2126729, 0.7151522, 0.0721750], np.float32)  # Rec.709
+ALPHA = 3
+MEAN = 4  # the channel value that stands for luminance
+
+
+@dataclass(frozen=True)
+class Value:
+    """factor (r, g, b) times an image's colour, or times one `channel` of it (3: alpha); without an image the factor alone."""
+
+    factor: tuple[float, float, float]
+    use: ImageUse | None = None
+    channel: int | None = None
+
+    @property
+    def scalar(self) -> float:
+        """As a float socket gets it: a colour's luminance (Rec.709)."""
+        r, g, b = self.factor
+        return r if r == g == b else float(np.dot(LUMINANCE, self.factor))
+
+
+@dataclass(frozen=True)
+class View:
+    """What looks at a material. ray: `core.scene.model.RayType`, or LIGHT_VIEW for light sampling; back: at its back."""
+
+    ray: int
+    back: bool
+
+
+def grey(value: float) -> Value:
+    """The same in all channels."""
+    return Value((float(value),) * 3)
+
+
+class Reader:
+    """Reads the sockets of one inlined tree, as one view sees them.
+
+    asked: whether anything depended on the view. doubts: how many values so far are but stand-ins for others.
+    """
+
+    def __init__(self, textures: TextureTable, report: Callable[[str], None], view: View, nodes: ModuleType) -> None:
+        """nodes: its functions `node_TYPE(reader, node, socket)` evaluate nodes of the type of that name in lower case, or return None."""
+        self.nodes = nodes
+        self.textures = textures
+        self.report = report
+        self.view = view
+        self.asked = False
+        self.doubts = 0
+
+    def doubt(self, line: str) -> None:
+        """Report a value that is but a stand-in."""
+        self.doubts += 1
+        self.report(line)
+
+    # Values
+
+    def value(self, socket: Any) -> Value:
+        """What arrives at an input socket."""
+        if socket.is_linked:
+            link = socket.links[0]
+            return self.convert(self._output(link.from_node, link.from_socket), link.from_socket, socket)
+        default = socket.default_value
+        if isinstance(default, (int, float)):
+            return grey(default)
+        return Value(tuple(float(v) for v in default[:3]))  # type: ignore[arg-type]
+
+    def constant(self, socket: Any, what: str = "") -> NDArray[np.float64]:
+        """(3,) of an input that the core takes untextured: the mean where an image is linked, and a report."""
+        value = self.value(socket)
+        if value.use is not None:
+            self.doubt(f"texture on {what or socket.name} replaced by its average")
+            return self.pixels(value)[..., :3].reshape(-1, 3).mean(axis=0).astype(np.float64)
+        return np.array(value.factor)
+
+    def pixels(self, value: Value) -> Array:
+        """(H, W, 4) linear pixels, or (1, 1, 4): colour times factor, and the image's alpha."""
+        if value.use is None:
+            return np.array([[[*value.factor, 1.0]]], np.float32)
+        image = self.textures.linear(value.use)
+        out = image.copy()
+        if value.channel == MEAN:
+            out[..., :3] = (image[..., :3] @ LUMINANCE)[..., None]
+        elif value.channel is not None:
+            out[..., :3] = image[..., value.channel, None]
+        out[..., :3] *= np.array(value.factor, np.float32)
+        return out
+
+    def image(self, value: Value) -> Value:
+        """The same with factor 1 and no channel: what a colour texture of the core can be."""
+        if value.use is None or (value.channel is None and value.factor == (1.0, 1.0, 1.0)):
+            return value
+        return Value((1.0, 1.0, 1.0), self.textures.derive(value.use, self.pixels(value)))
+
+    def map(self, function: Callable[..., Any], *values: Value) -> Value:
+        """A function of (H, W, 3) arrays, pixel by pixel. Images that are placed differently cannot be combined: all but the first become their average."""
+        first = next((v.use for v in values if v.use is not None), None)
+        arrays = []
+        for v in values:
+            pixels = self.pixels(v)
+            if v.use is not None and first is not None and not self._aligned(v.use, first):
+                self.doubt("images with different placement are combined: one is replaced by its average")
+                pixels = pixels.mean(axis=(0, 1), keepdims=True)
+            arrays.append(pixels[..., :3])
+        with np.errstate(all="ignore"):
+            out = np.nan_to_num(np.asarray(function(*arrays), np.float32))
+        if first is None:
+            return Value(tuple(float(x) for x in np.broadcast_to(out, (1, 1, 3))[0, 0]))  # type: ignore[arg-type]
+        base = self.textures.sources[first.source].data.shape
+        data = np.ones((base[0], base[1], 4), np.float32)
+        data[..., :3] = out
+        return Value((1.0, 1.0, 1.0), self.textures.derive(first, data))
+
+    def _aligned(self, a: ImageUse, b: ImageUse) -> bool:
+        shapes = [self.textures.sources[u.source].data.shape[:2] for u in (a, b)]
+        return (a.uv_map, a.matrix, a.extension) == (b.uv_map, b.matrix, b.extension) and shapes[0] == shapes[1]
+
+    def convert(self, value: Value, source: Any, target: Any) -> Value:
+        """Implicit conversion between socket types: colour to float is luminance, vector to float the mean."""
+        if target.type != "VALUE" or source.type not in {"RGBA", "VECTOR"}:
+            return value
+        if value.use is not None and value.channel is None and source.type == "RGBA":
+            r, g, b = value.factor
+            if r == g == b:
+                return Value(value.factor, value.use, MEAN)
+        if value.use is not None and value.channel is not None and len(set(value.factor)) == 1:
+            return value
+        weights = LUMINANCE if source.type == "RGBA" else np.full(3, 1 / 3, np.float32)
+        return self.map(lambda a: np.repeat((a @ weights)[..., None], 3, axis=2), value)
+
+    def average(self, node: Any, color: Any) -> Value:
+        """Stand-in for a node that the engine does not evaluate."""
+        self.doubt(f"{node.bl_label} node replaced by a constant")
+        return Value(tuple(float(c) for c in np.broadcast_to(np.asarray(color, float), 3)))  # type: ignore[arg-type]
+
+    def _output(self, node: Any, socket: Any) -> Value:
+        function = getattr(self.nodes, f"node_{node.type.lower()}", None)
+        if function is not None:
+            result = function(self, node, socket)
+            return result if isinstance(result, Value) else self.average(node, 0.5)
+        if node.type in {"TEX_CHECKER", "TEX_BRICK"}:
+            a, b = (self.constant(node.inputs[k]) for k in ("Color1", "Color2"))
+            return self.average(node, (a + b) / 2 if socket.type == "RGBA" else 0.5)
+        if node.type in {"VERTEX_COLOR", "ATTRIBUTE"}:
+            return self.average(node, 1.0)
+        return self.average(node, 0.5)

@@ -1,0 +1,216 @@
+"""Nodes that make shaders: `node_TYPE(converter, node)` is the material of a node, or None (black)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ....core.arrays import Records
+from ....core.scene.model import Shader, default_material
+from .converter import HALF, Converter
+from .reader import Value, grey
+from .trees import Composed, Tree, add_emission, black, both_textured, clear, is_clear, leaves, mixed, unsure
+
+CONSTANT = {  # record field: socket of Principled, for inputs that the core takes untextured
+    "ior": "IOR",
+    "diffuse_roughness": "Diffuse Roughness",
+    "specular_level": "Specular IOR Level",
+    "specular_tint": "Specular Tint",
+    "coat": "Coat Weight",
+    "coat_roughness": "Coat Roughness",
+    "coat_ior": "Coat IOR",
+    "coat_tint": "Coat Tint",
+}
+UNSUPPORTED = {
+    "Subsurface Weight": "subsurface",
+    "Sheen Weight": "sheen",
+    "Anisotropic": "anisotropy",
+    "Thin Film Thickness": "thin film",
+    "Transmission Dispersion Scale": "dispersion",
+}
+SCALARS = ("metallic", "roughness", "alpha", "transmission")
+TINTED = {Shader.DIFFUSE, Shader.GLOSSY, Shader.GLASS, Shader.TRANSPARENT, Shader.REFRACTION, Shader.TRANSLUCENT}  # linear in `base_color`
+
+
+def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
+    record = default_material()
+    sockets = node.inputs
+    converter.color(record, "base_color", converter.reader.value(sockets["Base Color"]))
+    names = {"metallic": "Metallic", "roughness": "Roughness", "alpha": "Alpha", "transmission": "Transmission Weight"}
+    for field in SCALARS:
+        before, share = converter.reader.doubts, converter.reader.value(sockets[names[field]])
+        if converter.reader.doubts > before and field in {"alpha", "transmission"}:
+            share, record["unsure"] = HALF, 1
+        converter.scalar(record, field, share)
+    for field, name in CONSTANT.items():
+        value = converter.reader.constant(sockets[name])
+        record[field] = value if record[field].shape else value[0]
+    converter.emit(record, sockets["Emission Color"], sockets["Emission Strength"])
+    converter.normal(record, node)
+    for name, what in UNSUPPORTED.items():
+        if name in sockets and (sockets[name].is_linked or sockets[name].default_value != 0):
+            converter.report(f"{what} not rendered")
+    if sockets["Coat Normal"].is_linked:
+        converter.report("coat normal not rendered")
+    if "Thin Wall" in sockets and sockets["Thin Wall"].default_value:
+        converter.report("thin wall not rendered")
+        if record["transmission"] > 0:  # passes straight on, where ours bends
+            return unsure(mixed(record, clear()))
+    return record
+
+
+def node_bsdf_diffuse(converter: Converter, node: Any) -> Records:
+    return converter.plain(node, Shader.DIFFUSE)
+
+
+def node_bsdf_glossy(converter: Converter, node: Any) -> Records:
+    return converter.plain(node, Shader.GLOSSY)
+
+
+node_bsdf_anisotropic = node_bsdf_glossy
+
+
+def node_bsdf_glass(converter: Converter, node: Any) -> Records:
+    return converter.plain(node, Shader.GLASS)
+
+
+def node_bsdf_refraction(converter: Converter, node: Any) -> Records:
+    return converter.plain(node, Shader.REFRACTION)
+
+
+def node_bsdf_translucent(converter: Converter, node: Any) -> Records:
+    return converter.plain(node, Shader.TRANSLUCENT)
+
+
+def node_bsdf_transparent(converter: Converter, node: Any) -> Records:
+    return converter.plain(node, Shader.TRANSPARENT)
+
+
+def node_emission(converter: Converter, node: Any) -> Records:
+    record = black()
+    converter.emit(record, node.inputs["Color"], node.inputs["Strength"])
+    return record
+
+
+node_background = node_emission
+
+
+def node_holdout(converter: Converter, node: Any) -> Records:
+    record = black()
+    record["shader"] = Shader.HOLDOUT
+    return record
+
+
+def node_bsdf_metallic(converter: Converter, node: Any) -> Records:
+    record = default_material()
+    record["metallic"] = 1.0
+    if node.fresnel_type == "PHYSICAL_CONDUCTOR":
+        converter.report("physical conductor rendered by its colour at normal incidence")
+        n, k = converter.reader.constant(node.inputs["IOR"]), converter.reader.constant(node.inputs["Extinction"])
+        record["base_color"] = ((n - 1) ** 2 + k * k) / ((n + 1) ** 2 + k * k)
+    else:
+        converter.color(record, "base_color", converter.reader.value(node.inputs["Base Color"]))
+        record["specular_tint"] = converter.reader.constant(node.inputs["Edge Tint"])
+    converter.scalar(record, "roughness", converter.reader.value(node.inputs["Roughness"]))
+    converter.normal(record, node)
+    return record
+
+
+def node_eevee_specular(converter: Converter, node: Any) -> Records | None:
+    converter.report("Specular BSDF is EEVEE's alone: black, as in Cycles")
+    return None
+
+
+def node_bsdf_ray_portal(converter: Converter, node: Any) -> Tree:
+    converter.report("Ray Portal rendered as transparent: what it shows from elsewhere is not known")
+    return unsure(clear())
+
+
+def node_script(converter: Converter, node: Any) -> Tree:
+    converter.report("script not run: half of all rays pass")
+    return unsure(mixed(converter.other(node), clear()))
+
+
+def _mix(converter: Converter, first: Tree, second: Tree, share: Value) -> Tree:
+    """Either of two, share of the second."""
+    head = default_material()
+    head["shader"] = Shader.MIX
+    converter.scalar(head, "alpha", share)
+    return Composed(head, first, second)
+
+
+def node_add_shader(converter: Converter, node: Any) -> Tree | None:
+    a, b = (converter.surface(s) for s in node.inputs)
+    if a is None or b is None:
+        return b if a is None else a
+    for one, other in ((a, b), (b, a)):
+        if not isinstance(one, Composed) and one["shader"] == Shader.EMISSION and not both_textured(one, other):
+            for leaf in leaves(other):
+                add_emission(leaf, one)
+            return other
+    for leaf in (*leaves(a), *leaves(b)):  # each is seen by half of the paths
+        leaf["emission"] *= 2
+        if int(leaf["shader"]) in TINTED:
+            leaf["base_color"] *= 2
+        elif leaf["shader"] != Shader.EMISSION:
+            converter.report(f"{Shader(int(leaf['shader'])).name.title()} in an Add Shader rendered with half of its weight")
+    return mixed(a, b)
+
+
+def node_mix_shader(converter: Converter, node: Any) -> Tree | None:
+    source = node.inputs[0].links[0].from_node if node.inputs[0].is_linked else None
+    a, b = converter.surface(node.inputs[1]), converter.surface(node.inputs[2])
+    if source is not None and source.type in {"FRESNEL", "LAYER_WEIGHT"}:
+        return _by_fresnel(converter, source, a, b)
+    factor, doubtful = converter.weighed(node.inputs[0])
+    t = min(max(factor.scalar, 0.0), 1.0)
+    if factor.use is None:
+        if t in (0.0, 1.0):
+            return b if t else a
+        factor = grey(t)
+    a, b = (black() if r is None else r for r in (a, b))
+    if doubtful:
+        return unsure(mixed(a, b))
+    if isinstance(a, Composed) or isinstance(b, Composed):
+        return _mix(converter, a, b, factor)
+    for one, other, swapped in ((a, b, False), (b, a, True)):
+        if is_clear(one) and other["shader"] == Shader.PRINCIPLED and other["alpha"] == 1 and other["alpha_texture"] < 0:
+            converter.scalar(other, "alpha", _complement(converter, factor) if swapped else factor)
+            return other
+        plain = int(other["shader"]) in TINTED | {Shader.EMISSION}
+        if one["shader"] == Shader.EMISSION and plain and factor.use is None and not both_textured(one, other):
+            weight = 1 - t if swapped else t
+            one["emission"] *= 1 - weight
+            other["base_color"] *= weight
+            other["emission"] *= weight
+            add_emission(other, one)
+            return other
+    return _mix(converter, a, b, factor)
+
+
+def _complement(converter: Converter, factor: Value) -> Value:
+    return grey(1 - factor.scalar) if factor.use is None else converter.reader.map(lambda x: 1 - x, factor)
+
+
+def _by_fresnel(converter: Converter, source: Any, a: Tree | None, b: Tree | None) -> Tree | None:
+    """The classic of older files: a coat of Glossy over Diffuse by Fresnel or Layer Weight is what Principled does."""
+    if a is None or b is None:
+        return b if a is None else a
+    if not isinstance(a, Composed) and not isinstance(b, Composed):
+        if a["shader"] == Shader.DIFFUSE and b["shader"] == Shader.GLOSSY:
+            converter.report(f"Mix Shader by {source.bl_label} rendered as Principled")
+            out = a.copy()
+            out["shader"] = Shader.PRINCIPLED
+            for name in ("roughness", "roughness_texture", "roughness_channel"):
+                out[name] = b[name]
+            if source.type == "FRESNEL":
+                out["ior"] = converter.reader.constant(source.inputs["IOR"])[0]
+            else:  # Layer Weight: blend b stands for an index of refraction of 1 / (1 - b)
+                out["ior"] = 1 / (1 - min(float(converter.reader.constant(source.inputs["Blend"])[0]), 0.9))
+            return out
+        if {int(a["shader"]), int(b["shader"])} == {int(Shader.REFRACTION), int(Shader.GLOSSY)}:
+            converter.report(f"Mix Shader by {source.bl_label} rendered as Glass")
+            out = (a if a["shader"] == Shader.REFRACTION else b).copy()
+            out["shader"] = Shader.GLASS
+            return out
+    converter.report(f"Mix Shader by {source.bl_label}: half of each, at any angle")
+    return unsure(mixed(a, b))

@@ -1,0 +1,91 @@
+"""Materials that may consist of others, which paths pick at random by their shares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....core.arrays import Records
+from ....core.scene.model import Shader, default_material
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A material that consists of two others. head: its own record, MIX or BY_RAY."""
+
+    head: Records
+    first: Tree
+    second: Tree
+
+
+Tree = Records | Composed
+
+
+def leaves(tree: Tree) -> Iterator[Records]:
+    """All records of a material that are not composed, to be changed in place."""
+    if isinstance(tree, Composed):
+        yield from leaves(tree.first)
+        yield from leaves(tree.second)
+    else:
+        yield tree
+
+
+def heads(tree: Tree) -> Iterator[Records]:
+    """All records of a material that are composed of others."""
+    if isinstance(tree, Composed):
+        yield tree.head
+        yield from heads(tree.first)
+        yield from heads(tree.second)
+
+
+def unsure(tree: Tree) -> Tree:
+    """The material, where it is not known how much passes through it."""
+    for leaf in leaves(tree):
+        leaf["unsure"] = 1
+    return tree
+
+
+def key_of(tree: Tree) -> bytes:
+    """Tells materials apart."""
+    return tree.head.tobytes() + key_of(tree.first) + key_of(tree.second) if isinstance(tree, Composed) else tree.tobytes()
+
+
+def mixed(first: Tree, second: Tree) -> Composed:
+    """Half of each."""
+    head = default_material()
+    head["shader"], head["alpha"] = Shader.MIX, 0.5
+    return Composed(head, first, second)
+
+
+def black() -> Records:
+    record = default_material()
+    record["shader"] = Shader.EMISSION
+    return record
+
+
+def clear() -> Records:
+    record = default_material()
+    record["shader"], record["base_color"] = Shader.TRANSPARENT, 1.0
+    return record
+
+
+def is_clear(record: Records) -> bool:
+    return bool(record["shader"] == Shader.TRANSPARENT and np.abs(record["base_color"] - 1).max() <= 1e-3 and record["base_color_texture"] < 0)
+
+
+def both_textured(emitter: Records, tree: Tree) -> bool:
+    """Whether some leaf cannot take the emission on."""
+    return any(_clash(emitter, leaf) for leaf in leaves(tree))
+
+
+def _clash(a: Records, b: Records) -> bool:
+    both = a["emission"].any() and b["emission"].any()
+    return bool(both and (a["emission_texture"] >= 0 or b["emission_texture"] >= 0))
+
+
+def add_emission(record: Records, emitter: Records) -> None:
+    record["emission"] += emitter["emission"]
+    if emitter["emission"].any():
+        record["emission_texture"] = emitter["emission_texture"]
