@@ -22,8 +22,8 @@ install: $(VENV)/.installed
 demo: install
 	$(BIN)/python -m lipac.scripts.dev.make_demo -o out/demo
 results: install
-	$(BIN)/python -m lipac.scripts.studies.hybrid_results -o docs/results
-	$(BIN)/python -m lipac.scripts.studies.hybrid_pop -o docs/results
+	$(BIN)/python -m lipac.scripts.studies.hybrid.results -o docs/results
+	$(BIN)/python -m lipac.scripts.studies.hybrid.pop -o docs/results
 	$(BIN)/lipac evaluate --all -o docs/results --samples 64 --budget-check 20 --ray-budget
 accuracy: $(VENV)/.installed-test
 	$(BIN)/python -m lipac.scripts.dev.accuracy

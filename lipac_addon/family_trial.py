@@ -19,7 +19,7 @@ from ..core.culling.options import CullOptions, State
 from ..core.error_budget.budget import Budget
 from ..core.evaluation.paired import MEASURES, Change, Pairs, Range
 from . import writeback
-from .batch.engines import render_blender
+from .batch.engines.blender import render_blender
 from .console import muted
 from .demo import family
 from .extract import extract_frame

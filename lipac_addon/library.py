@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from ..core.culling.result import CullingResult
     from ..core.files.report import Report
-    from .batch.pipeline import Decided
+    from .batch.deciding import Decided
     from .writeback import WritebackResult
 
 _EVEN = 1.0  # spread of an error over the tiles of a hybrid picture, which shows what is culled all the same
@@ -67,7 +67,9 @@ def analyze(
 
         return analyze_arrays(scene, wanted, progress)
     opened = _opened(scene)
-    from .batch.pipeline import Job, decide_layers, sessions_of
+    from .batch.deciding import decide_layers
+    from .batch.job import Job
+    from .batch.session import sessions_of
 
     number = opened.frame_current if frame is None else frame
     restore()
@@ -118,8 +120,9 @@ def render(
     import bpy
 
     from ..core.files.report import Report, output_folder
-    from .batch.choices import ENGINES
-    from .batch.pipeline import Job, run
+    from .batch.engines.choices import ENGINES
+    from .batch.job import Job
+    from .batch.pipeline import run
 
     if engine not in ENGINES:
         raise InputError(f"no engine '{engine}'; choose one of {', '.join(ENGINES)}")

@@ -17,7 +17,8 @@ from .studies.compare import CULLED, FULL, OTHER_SEED, markdown
 from .studies.machine import machine
 
 PEERS = ("rays", "feedback", "paths", "extraction", "city", "compiling")
-ANIMATION = ("crowd", "character", "flythrough", "shot", "growth", "rest", "memory", "pictures")
+FLYTHROUGH = ("flythrough", "shot")
+ANIMATION = ("crowd", "character", *FLYTHROUGH, "growth", "rest", "memory", "pictures")
 PARTS = (*PEERS, *ANIMATION)
 CITY = 1_000_000
 CITY_OPTIONS = ("--resolution", "320x180", "--samples", "4")
@@ -69,9 +70,10 @@ def measure(name: str, folder: Path, repeats: int) -> dict[str, Any]:
         return extraction()
     if name == "city":
         return city(folder, repeats)
-    from .studies import bench_animation, bench_tracing
+    from .studies import bench_animation, bench_flythrough, bench_tracing
 
-    part: dict[str, Any] = getattr(bench_animation if name in ANIMATION else bench_tracing, name)(folder)
+    module = bench_flythrough if name in FLYTHROUGH else bench_animation if name in ANIMATION else bench_tracing
+    part: dict[str, Any] = getattr(module, name)(folder)
     return part
 
 

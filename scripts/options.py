@@ -29,7 +29,7 @@ from .streams import say
 
 if TYPE_CHECKING:
     from ..core.files.report import Report
-    from ..lipac_addon.batch.pipeline import Job
+    from ..lipac_addon.batch.job import Job
 
 MOST_LINES = 20  # of a kind that a command prints
 LAST_FRAME = 1048574  # Blender's own limit
@@ -277,9 +277,10 @@ def do_frames(
         with muted():
             import bpy
         from ..lipac_addon.batch.baked import check_target
-        from ..lipac_addon.batch.choices import BLENDER_ENGINES
-        from ..lipac_addon.batch.hybrid_frame import HybridOptions
-        from ..lipac_addon.batch.pipeline import Job, run
+        from ..lipac_addon.batch.engines.choices import BLENDER_ENGINES
+        from ..lipac_addon.batch.engines.hybrid_frame import HybridOptions
+        from ..lipac_addon.batch.job import Job
+        from ..lipac_addon.batch.pipeline import run
         from ..lipac_addon.open import AUTO, leave_modes, missing_libraries, open_scene, use_camera
         from .lipac import began
 
@@ -337,7 +338,7 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     import bpy
 
     from ..core.files.report import Report
-    from ..lipac_addon.batch.pipeline import SHOT
+    from ..lipac_addon.batch.job import SHOT
 
     scene, path = bpy.context.scene, args.scene or bpy.data.filepath
     options: dict[str, Any] = {name: value for name, value in dataclasses.asdict(job.options).items() if name not in ("threads", "seed", "policy")}

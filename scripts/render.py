@@ -8,7 +8,7 @@ from collections.abc import Sequence
 def main(argv: Sequence[str]) -> int:
     """Write a picture and the states of each frame, and report.json; returns the exit status."""
     from ..core.hybrid.modes import MODES
-    from ..lipac_addon.batch.choices import ENGINES
+    from ..lipac_addon.batch.engines.choices import ENGINES
     from .options import do_frames, sample_count, scene_parser
 
     parser = scene_parser("render", "Cull a scene by its light paths and render it: pictures, states per frame and report.json.")

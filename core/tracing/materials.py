@@ -81,6 +81,16 @@ def sample_channel(table, mesh, index, channel, triangle, b1, b2):
 
 
 @njit(**INNER)
+def _texture_base(table, mesh, material, triangle, b1, b2, params):
+    texture = load_i32(material + _BASE_TEXTURE, 0)
+    if texture >= 0:
+        r, g, b, _ = sample_texture(table, mesh, texture, triangle, b1, b2)
+        params[P_BASE] *= r
+        params[P_BASE + 1] *= g
+        params[P_BASE + 2] *= b
+
+
+@njit(**INNER)
 def material_inputs(table, mesh, material, triangle, b1, b2, params):
     """Evaluate a material's BSDF inputs at a point of a triangle into params (lobes.P_*)."""
     for k in range(3):
@@ -99,12 +109,7 @@ def material_inputs(table, mesh, material, triangle, b1, b2, params):
     params[P_COAT_IOR] = load_f32(material + _COAT_IOR, 0)
     if table[T_TEXTURES] == np.uint64(0):
         return
-    texture = load_i32(material + _BASE_TEXTURE, 0)
-    if texture >= 0:
-        r, g, b, _ = sample_texture(table, mesh, texture, triangle, b1, b2)
-        params[P_BASE] *= r
-        params[P_BASE + 1] *= g
-        params[P_BASE + 2] *= b
+    _texture_base(table, mesh, material, triangle, b1, b2, params)
     # Four scalar sockets in one loop, so that the lookup is compiled into this function once.
     for k in range(4):
         if k == 0:
@@ -127,12 +132,7 @@ def material_alpha(table, mesh, material, triangle, b1, b2, params):
     params[P_ALPHA] = load_f32(material + _ALPHA, 0)
     if table[T_TEXTURES] == np.uint64(0):
         return
-    texture = load_i32(material + _BASE_TEXTURE, 0)
-    if texture >= 0:
-        r, g, b, _ = sample_texture(table, mesh, texture, triangle, b1, b2)
-        params[P_BASE] *= r
-        params[P_BASE + 1] *= g
-        params[P_BASE + 2] *= b
+    _texture_base(table, mesh, material, triangle, b1, b2, params)
     texture = load_i32(material + _ALPHA_TEXTURE, 0)
     if texture >= 0:
         params[P_ALPHA] *= sample_channel(table, mesh, texture, load_u8(material + _ALPHA_CHANNEL, 0), triangle, b1, b2)

@@ -25,7 +25,7 @@ from ...core.scene.model import Scene
 from .. import writeback
 from ..console import muted
 from ..pictures import read_picture
-from .engines import render_blender
+from .engines.blender import render_blender
 
 GRID = (4, 3)  # crops of a picture, across and up: each has 4 x 3 coarse tiles
 PATH_SAMPLES = 64  # of the path tracer, at most
@@ -82,17 +82,13 @@ def verified_blender(engine: str, samples: int | None, seed: int, threads: int, 
     return change(_blender_crops(engine, samples, seed, threads, crops, part(progress, 0.3, 1.0, "full, ")), culled, crops)
 
 
-def verified_path(
-    scene: Scene, active: NDArray[np.bool_], samples: int, seed: int, threads: int, count: int, cancelled: Callable[[], bool]
-) -> Verified:
+def verified_path(scene: Scene, active: NDArray[np.bool_], samples: int, seed: int, threads: int, count: int, cancelled: Callable[[], bool]) -> Verified:
     """The change of so many crops of a core scene by the path tracer, with only active, (N,) bool, in it. Raises Cancelled."""
     crops = random_crops(count, seed)
     return change(*_path_crops(scene, active, samples, seed, threads, crops, cancelled), crops)
 
 
-def _blender_crops(
-    engine: str, samples: int | None, seed: int, threads: int, crops: tuple[Crop, ...], progress: Progress = silent
-) -> list[F32]:
+def _blender_crops(engine: str, samples: int | None, seed: int, threads: int, crops: tuple[Crop, ...], progress: Progress = silent) -> list[F32]:
     """Each crop of the open file's current frame, as it is now, by one of Blender's engines: (h, w, 4) float32. Options as of `render_blender`."""
     out = []
     with tempfile.TemporaryDirectory(prefix="lipac") as folder:

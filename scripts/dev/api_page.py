@@ -11,7 +11,7 @@ from typing import Any
 import lipac
 from lipac.core.culling.result import CullingResult
 from lipac.core.files.report import Report
-from lipac.lipac_addon.batch.pipeline import Decided
+from lipac.lipac_addon.batch.deciding import Decided
 from lipac.lipac_addon.writeback import WritebackResult
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "api.md"

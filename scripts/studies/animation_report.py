@@ -1,4 +1,4 @@
-"""What `lipac bench` writes of animated scenes: animation.md, with tables and plots of what `bench_animation` measured."""
+"""What `lipac bench` writes of animated scenes: animation.md, with tables and plots of what `bench_animation` and `bench_flythrough` measured."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from ...core.evaluation.evaluate import BUDGETS, COUNTS, ORACLE, OURS, RANDOM, E
 from ...core.files.atomic import replacing
 from ...core.files.report import size
 from .compare import markdown
-from .hybrid_report import sections
+from .hybrid.report import sections
 
 _COLORS, _MARKERS = ("tab:blue", "tab:green", "tab:purple", "tab:olive", "tab:cyan", "tab:brown"), ("s-", "^-", "d-", "v-")
 STYLE = {

@@ -73,7 +73,7 @@ def cycles() -> F32:
     import tempfile
     from pathlib import Path
 
-    from lipac.lipac_addon.batch.engines import render_blender
+    from lipac.lipac_addon.batch.engines.blender import render_blender
     from lipac.lipac_addon.pictures import read_picture
 
     with tempfile.TemporaryDirectory() as folder:

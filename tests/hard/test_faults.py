@@ -22,9 +22,11 @@ from lipac.core.accel import embree
 from lipac.core.accel.blas import BlasCache
 from lipac.core.culling.options import CullOptions
 from lipac.core.files.report import Report
-from lipac.lipac_addon.batch.pipeline import Job, run
+from lipac.lipac_addon.batch.job import Job
+from lipac.lipac_addon.batch.pipeline import run
 
 from ..core import scenes
+from ..processes import saved
 from .inside_blender import stage
 
 ROOT = Path(__file__).parents[2]
@@ -33,11 +35,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture(scope="module")
 def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The stage as a .blend."""
-    stage()
-    path = tmp_path_factory.mktemp("scene") / "stage.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    return path
+    return saved(stage, tmp_path_factory.mktemp("scene") / "stage.blend")
 
 
 def command(limit: int, *arguments: object) -> subprocess.CompletedProcess[str]:

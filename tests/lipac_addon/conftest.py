@@ -44,3 +44,15 @@ def boxes_file(tmp_path_factory):
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return path
+
+
+def need_graphics() -> None:
+    """Skip a test where Blender cannot draw."""
+    import gpu
+
+    if not hasattr(gpu, "init"):
+        pytest.skip("this Blender cannot draw without a window")
+    try:
+        gpu.init()
+    except Exception as error:
+        pytest.skip(f"no graphics here: {error}")

@@ -21,7 +21,7 @@ import lipac
 from lipac.core.accel.blas import BlasCache
 from lipac.core.accel.tlas import Tlas
 from lipac.core.tracing.tracer import prepare, trace
-from lipac.lipac_addon.batch.engines import render_blender
+from lipac.lipac_addon.batch.engines.blender import render_blender
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
 from lipac.tests.stats import level

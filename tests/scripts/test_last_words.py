@@ -9,13 +9,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import bpy
 import pytest
 
 from lipac.scripts.last_words import last_words
 
 from ..hard.inside_blender import stage
-from ..processes import INTERRUPTIBLE
+from ..processes import INTERRUPTIBLE, saved
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 SEGFAULT, ABORT = "import ctypes; ctypes.string_at(0)", "import os; os.abort()"
@@ -62,11 +61,7 @@ with last_words("outer", 3):
 
 @pytest.fixture(scope="module")
 def stage_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    stage()
-    path = tmp_path_factory.mktemp("scene") / "stage.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    return path
+    return saved(stage, tmp_path_factory.mktemp("scene") / "stage.blend")
 
 
 COMMAND = """

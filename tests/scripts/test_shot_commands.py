@@ -185,14 +185,14 @@ def test_a_budget_of_bytes_is_kept(blend, tmp_path):
 STUCK = """
 import ctypes, sys, threading, os
 from lipac.scripts import lipac
-from lipac.lipac_addon.batch import pipeline
-sync = pipeline.Session.sync
+from lipac.lipac_addon.batch import session
+sync = session.Session.sync
 def stuck(self, frame):
     if frame == 2:
         print("stuck", flush=True)
         {work}
     return sync(self, frame)
-pipeline.Session.sync = stuck
+session.Session.sync = stuck
 sys.exit(lipac.main(sys.argv[1:]))
 """
 

@@ -10,11 +10,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-import bpy
 import pytest
 
 from ..lipac_addon.conftest import ground_and_boxes
-from ..processes import INTERRUPTIBLE
+from ..processes import INTERRUPTIBLE, saved
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="POSIX streams and signals")
 FRUSTUM = ["--cull", "frustum", "--resolution", "32x18", "--samples", "1"]
@@ -23,11 +22,7 @@ FRUSTUM = ["--cull", "frustum", "--resolution", "32x18", "--samples", "1"]
 @pytest.fixture(scope="module")
 def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The boxes as a .blend."""
-    ground_and_boxes()
-    path = tmp_path_factory.mktemp("scene") / "boxes.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    return path
+    return saved(ground_and_boxes, tmp_path_factory.mktemp("scene") / "boxes.blend")
 
 
 def start(arguments: list[Any], **options: Any) -> subprocess.Popen[str]:

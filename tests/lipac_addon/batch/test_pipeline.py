@@ -12,9 +12,10 @@ from lipac.core.culling.options import CullOptions, State
 from lipac.core.errors import Cancelled
 from lipac.core.files.atomic import is_whole
 from lipac.core.files.report import Report, load_states
-from lipac.lipac_addon.batch import pipeline
-from lipac.lipac_addon.batch.hybrid_frame import HybridOptions
-from lipac.lipac_addon.batch.pipeline import FRAME, SHOT, Job, run
+from lipac.lipac_addon.batch import shot
+from lipac.lipac_addon.batch.engines.hybrid_frame import HybridOptions
+from lipac.lipac_addon.batch.job import FRAME, SHOT, Job
+from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.pictures import read_picture
 
 DISTANCE = CullOptions(policy="distance", setting=19.5)  # the boxes behind the wall are further
@@ -146,7 +147,7 @@ def test_damaged_or_missing_analyses_of_a_shot_are_made_again(boxes, tmp_path, m
             job.analysis(2).unlink()
         return load_states(path)
 
-    monkeypatch.setattr(pipeline, "load_states", load)
+    monkeypatch.setattr(shot, "load_states", load)
     run(replace(job, resume=True, frames=(1,), shot=(1, 2)), r)
     assert [job.states(k).read_bytes() for k in (1, 2)] == before
 

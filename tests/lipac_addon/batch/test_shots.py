@@ -23,7 +23,9 @@ from lipac.core.error_budget.budget import Budget
 from lipac.core.errors import Cancelled
 from lipac.core.files.atomic import replacing
 from lipac.core.files.report import Report, States, load_states
-from lipac.lipac_addon.batch.pipeline import SHOT, Job, Session, run
+from lipac.lipac_addon.batch.job import SHOT, Job
+from lipac.lipac_addon.batch.pipeline import run
+from lipac.lipac_addon.batch.session import Session
 from lipac.lipac_addon.batch.shot_set import ShotSet
 from lipac.lipac_addon.extract import Extractor, extract_frame
 from lipac.lipac_addon.open import open_scene

@@ -13,8 +13,9 @@ from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation.judge import picture_change
 from lipac.core.files.report import Report
-from lipac.lipac_addon.batch import pipeline
-from lipac.lipac_addon.batch.pipeline import Job, run
+from lipac.lipac_addon.batch import enforcing, session
+from lipac.lipac_addon.batch.job import Job
+from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.batch.verify import GRID, Verified, change, random_crops
 from lipac.lipac_addon.pictures import read_picture
 
@@ -83,14 +84,14 @@ def test_noise_of_few_pixels_breaks_no_budget() -> None:
 @pytest.mark.parametrize("enforce", [False, True])
 def test_a_broken_budget_warns_or_is_enforced(boxes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, enforce: bool) -> None:
     """An analysis that takes any change for none: the engine's pictures say otherwise. Enforced, the last attempt keeps everything."""
-    decide = pipeline.Session.decide
+    decide = session.Session.decide
 
-    def blind(self: pipeline.Session, *args: Any) -> Any:
+    def blind(self: session.Session, *args: Any) -> Any:
         result = decide(self, *args)
         result.state[:] = 0
         return result
 
-    monkeypatch.setattr(pipeline.Session, "decide", blind)
+    monkeypatch.setattr(session.Session, "decide", blind)
     report = Report("boxes", "", "", "light-paths", "cycles", 0, 1)
     options = CullOptions(max_error=Budget(0.01, 0.05), width=64)
     run(Job(tmp_path, (1,), options, "cycles", samples=4, verify=ALL, enforce=enforce), report)
@@ -98,7 +99,7 @@ def test_a_broken_budget_warns_or_is_enforced(boxes: Any, tmp_path: Path, monkey
     assert report.status == (0 if enforce else 3)
     assert any("more than the 1 % and 5 % that --max-error allows" in line for line in report.warnings) != enforce
     if enforce:
-        assert frame["enforced"] == pipeline.ENFORCED
+        assert frame["enforced"] == enforcing.ENFORCED
         assert frame["active"] == frame["instances"]
     else:
         assert frame["verified_least_worst"] > 0.05
@@ -107,5 +108,5 @@ def test_a_broken_budget_warns_or_is_enforced(boxes: Any, tmp_path: Path, monkey
 def test_an_enforced_budget_is_as_much_smaller_as_the_picture_is_above_it() -> None:
     job = Job(Path(), (1,), CullOptions(max_error=Budget(0.01, 0.05)), "cycles", verify=1, enforce=True)
     entry = Verified(0.02, 0.2, 0.01, 0.1, ()).entry()
-    assert pipeline._tightened(job, entry, 0).options.max_error == Budget(0.01 / 8, 0.05 / 8)
-    assert pipeline._tightened(job, entry, pipeline.ENFORCED - 1).options.policy == "none"
+    assert enforcing.tightened(job, entry, 0).options.max_error == Budget(0.01 / 8, 0.05 / 8)
+    assert enforcing.tightened(job, entry, enforcing.ENFORCED - 1).options.policy == "none"

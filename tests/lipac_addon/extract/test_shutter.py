@@ -11,7 +11,8 @@ import pytest
 from lipac.core.culling.options import CullOptions
 from lipac.core.files.report import Report, load_states
 from lipac.core.scene.model import Camera
-from lipac.lipac_addon.batch.pipeline import Job, run
+from lipac.lipac_addon.batch.job import Job
+from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.depsgraph import go_to
 from lipac.lipac_addon.extract import Extractor, extract_frame
 from lipac.lipac_addon.extract.shutter import CAMERAS

@@ -14,8 +14,8 @@ from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
 from lipac.core.errors import InputError
 from lipac.core.evaluation.metrics import relative_mse
-from lipac.lipac_addon.batch.engines import render_blender
-from lipac.lipac_addon.batch.hybrid_frame import HybridOptions, render_hybrid
+from lipac.lipac_addon.batch.engines.blender import render_blender
+from lipac.lipac_addon.batch.engines.hybrid_frame import HybridOptions, render_hybrid
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
 from lipac.lipac_addon.raster import opengl
@@ -23,7 +23,7 @@ from lipac.lipac_addon.raster.denoise import _library, denoise
 from lipac.lipac_addon.raster.layers import read_layers
 from lipac.lipac_addon.raster.passes import Passes, render_passes
 from lipac.scripts.lipac import main
-from lipac.scripts.studies.hybrid_pop import measure
+from lipac.scripts.studies.hybrid.pop import measure
 
 SMALL = ["--resolution", "64x36", "--quiet"]
 FAST = [*SMALL, "--engine", "hybrid", "--raster-samples", "2"]

@@ -13,6 +13,8 @@ from lipac.lipac_addon.ui.draw import overlay
 from lipac.lipac_addon.ui.draw.boxes import COLORS, HEAT, KINDS, ROW, boxes_of, color_of
 from lipac.lipac_addon.ui.state import results
 
+from ...conftest import need_graphics
+
 SIZE = 128
 
 
@@ -90,12 +92,7 @@ def test_filters_freeze_and_legend(analyzed):
 @pytest.fixture
 def canvas(ui):
     """Draws with a function into a SIZE x SIZE picture; returns it, (SIZE, SIZE, 4) uint8, rows bottom up."""
-    if not hasattr(gpu, "init"):
-        pytest.skip("this Blender cannot draw without a window")
-    try:
-        gpu.init()
-    except Exception as error:
-        pytest.skip(f"no graphics here: {error}")
+    need_graphics()
     offscreen = gpu.types.GPUOffScreen(SIZE, SIZE, format="RGBA8")
 
     def run(draw):

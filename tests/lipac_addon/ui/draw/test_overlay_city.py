@@ -1,7 +1,6 @@
 """The picture of the TLAS: the demo city's overlay, frozen, seen from outside over the viewport, and what of it is where."""
 
 import bpy
-import gpu
 import numpy as np
 import pytest
 
@@ -10,6 +9,8 @@ from lipac.lipac_addon.ui.draw import overlay
 from lipac.lipac_addon.ui.draw.boxes import COLORS, CORNERS, EDGES
 from lipac.lipac_addon.ui.state import results
 from lipac.scripts.dev.guide_pictures import outside, overlay_picture
+
+from ...conftest import need_graphics
 
 WIDTH, HEIGHT = 480, 270
 # Which state's colour there is more of in each part of the picture, from the top: a(ctive), r(egions), nothing.
@@ -40,12 +41,7 @@ def city():
     """The result of the city, frozen, and the picture: (HEIGHT, WIDTH, 3) uint8, rows from the top."""
     import lipac
 
-    if not hasattr(gpu, "init"):
-        pytest.skip("this Blender cannot draw without a window")
-    try:
-        gpu.init()
-    except Exception as error:
-        pytest.skip(f"no graphics here: {error}")
+    need_graphics()
     lipac.register()
     mirror_city.build(1500, 0)
     scene = bpy.context.scene

@@ -1,4 +1,4 @@
-"""The pop of a shadow whose caster is culled and comes back: `python -m lipac.scripts.studies.hybrid_pop -o docs/results`.
+"""The pop of a shadow whose caster is culled and comes back: `python -m lipac.scripts.studies.hybrid.pop -o docs/results`.
 
 A camera draws back from a slab over a floor, and returns; `--cull distance` culls the slab on the way and keeps it again. Each frame is rendered with nothing
 culled, with the slab's shadow from the raster where it is culled (the hybrid renderer), and without (`--primary traced`). The pop of a frame is how much its
@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import F32
-from ...core.culling.options import CullOptions
-from ...core.files.atomic import replacing
-from ...core.scene.film import LUMINANCE
-from .evaluate_report import shown
-from .hybrid_report import pictures_folder, pop, write_page
+from ....core.arrays import F32
+from ....core.culling.options import CullOptions
+from ....core.files.atomic import replacing
+from ....core.scene.film import LUMINANCE
+from ..evaluate_report import shown
+from .report import pictures_folder, pop, write_page
 
 FRAMES = 9
 NEAR, FAR = 9.0, 11.0  # metres from the camera to the slab's middle, along the floor
@@ -124,9 +124,9 @@ def build(size: tuple[int, int]) -> tuple[Any, Any]:
 
 def frame(scene: Any, cull: CullOptions, primary: str, samples: int) -> tuple[F32, dict[str, F32], NDArray[np.bool_]]:
     """The hybrid renderer's picture, (H, W, 3) linear, rows bottom up, its layers, and which instances it kept."""
-    from ...lipac_addon.batch.hybrid_frame import HybridOptions, render_hybrid
-    from ...lipac_addon.extract import extract_frame
-    from ...lipac_addon.raster.layers import read_layers
+    from ....lipac_addon.batch.engines.hybrid_frame import HybridOptions, render_hybrid
+    from ....lipac_addon.extract import extract_frame
+    from ....lipac_addon.raster.layers import read_layers
 
     with tempfile.TemporaryDirectory(prefix="lipac-") as folder:
         stem = Path(folder) / "frame"

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...core.files.atomic import replacing
-from .compare import markdown
+from ....core.files.atomic import replacing
+from ..compare import markdown
 
 TRUTH, RASTER, WHOLE, CULLED, ROUGH, NOTHING, RAW = "Cycles", "EEVEE", "hybrid", "hybrid, 1 %", "hybrid, 30 %", "hybrid, all culled", "hybrid, not denoised"
 SHOWN = (TRUTH, RASTER, WHOLE, CULLED)
@@ -76,7 +76,7 @@ def results(measured: dict[str, Any]) -> str:
         linear.append((name, *cells[1][:3], f"{worse['relmse']:+.1%}", *cells[1][3:]))
     lines = [TITLE, ""]
     size, truth, samples, raster = (settings[name] for name in SETTINGS)
-    lines += [f"`python -m lipac.scripts.studies.hybrid_results -o docs/results`, at {size}: {truth} paths per pixel of Cycles are the truth,"]
+    lines += [f"`python -m lipac.scripts.studies.hybrid.results -o docs/results`, at {size}: {truth} paths per pixel of Cycles are the truth,"]
     lines += [f"{samples} those of the hybrid renderer, {raster} the samples of EEVEE. Mean FLIP of what is displayed."]
     lines += ["Bytes of the culled picture over those of the unculled one, hitboxes included. Overlap: share of the frame in which both threads worked."]
     lines += ["", markdown([(*head, "kept", "BLAS", "BLAS and TLAS", "overlap"), *body]), ""]
@@ -131,7 +131,7 @@ def pop(figures: dict[str, Any]) -> str:
     rows += [(f"shadow, {name}", *(f"{x:.3f}" for x in values)) for name, values in figures["shadow"].items()]
     rows += [(f"pop, {name}", *(f"{x:.4f}" for x in values)) for name, values in figures["pop"].items()]
     lines = ["### The pop of a shadow whose caster is culled", ""]
-    lines += ["`python -m lipac.scripts.studies.hybrid_pop -o docs/results`: a camera draws back from a slab, which is culled by its distance, and returns."]
+    lines += ["`python -m lipac.scripts.studies.hybrid.pop -o docs/results`: a camera draws back from a slab, which is culled by its distance, and returns."]
     lines += ["Brightness of the slab's shadow over that of the lit floor, and how much the shadow, less that of the unculled frame, differs from the"]
     lines += ["frame before; by what stands in for the shadow of the culled slab.", "", markdown(rows), ""]
     lines += ["The frame before the slab is culled and the first one without it: unculled, with the raster's shadow maps, with nothing in their place.", ""]

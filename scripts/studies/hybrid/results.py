@@ -1,4 +1,4 @@
-"""What the hybrid renderer shows and costs, measured: `python -m lipac.scripts.studies.hybrid_results -o docs/results`.
+"""What the hybrid renderer shows and costs, measured: `python -m lipac.scripts.studies.hybrid.results -o docs/results`.
 
 Each scene is rendered by Cycles (the truth), by EEVEE alone, and by the hybrid renderer with nothing culled, within budgets, and with everything culled;
 some also with 1 to 8 paths per pixel, next to Cycles in equal time. Every render is one `lipac render` in a process of its own, into the folder --work; what
@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from ...core.errors import InputError
-from ...core.evaluation.metrics import flip, relative_mse
-from ...core.files.atomic import replacing
-from ..evaluate import SUPPLIED
-from ..options import digest
-from . import hybrid_report as report
-from .compare import lipac, pictures
-from .hybrid_report import CULLED, NOTHING, RASTER, RAW, ROUGH, SETTINGS, SHOWN, STAGES, TRUTH, WHOLE, Row, pictures_folder, write_page
+from ....core.errors import InputError
+from ....core.evaluation.metrics import flip, relative_mse
+from ....core.files.atomic import replacing
+from ...evaluate import SUPPLIED
+from ...options import digest
+from ..compare import lipac, pictures
+from . import report
+from .report import CULLED, NOTHING, RASTER, RAW, ROUGH, SETTINGS, SHOWN, STAGES, TRUTH, WHOLE, Row, pictures_folder, write_page
 
 WAYS = {
     TRUTH: ("--engine", "cycles", "--cull", "none"),
@@ -129,7 +129,7 @@ def render(name: str, scene: Path, way: str, samples: int, args: argparse.Namesp
 
 def sources() -> list[Path]:
     """What a render of ours depends on."""
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     return sorted(path for folder in ("core", "lipac_addon") for path in (root / folder).rglob("*.py") if "ui" not in path.parts)
 
 
@@ -164,7 +164,7 @@ def compare(name: str, scene: Path, args: argparse.Namespace) -> Row:
 
 def not_denoised(folder: Path) -> Any:
     """The picture of a folder without its denoising, from its layers: (H, W, 3) float32, rows from the top."""
-    from ...lipac_addon.raster.layers import read_layers
+    from ....lipac_addon.raster.layers import read_layers
 
     layer = read_layers(next(folder.glob("frame_*_layers.exr")))
     return (layer["Combined"][..., :3] - layer["Denoised"] + layer["Traced Lamps"] + layer["Traced Indirect"])[::-1]

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from lipac.scripts.options import cull_options, scene_parser
-from lipac.scripts.studies.hybrid_report import CULLED, RASTER, ROUGH, STAGES, TRUTH, WHOLE, cost_table, mixtures, sections
-from lipac.scripts.studies.hybrid_results import PATHS, main, render, seconds, write
+from lipac.scripts.studies.hybrid.report import CULLED, RASTER, ROUGH, STAGES, TRUTH, WHOLE, cost_table, mixtures, sections
+from lipac.scripts.studies.hybrid.results import PATHS, main, render, seconds, write
 
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = Path(__file__).parents[4] / "docs"
 RESULTS = DOCS / "results"
 
 
@@ -96,7 +96,7 @@ def test_renders_are_of_their_scene(tmp_path, monkeypatch):
     """What was rendered of a file is not rendered again; that of another file of the same name, or with other samples of the raster, is."""
     from argparse import Namespace
 
-    from lipac.scripts.studies import hybrid_results
+    from lipac.scripts.studies.hybrid import results
 
     done = []
 
@@ -106,7 +106,7 @@ def test_renders_are_of_their_scene(tmp_path, monkeypatch):
         (folder / "report.json").write_text('{"frames": [{}]}')
         done.append(folder)
 
-    monkeypatch.setattr(hybrid_results, "lipac", rendered)
+    monkeypatch.setattr(results, "lipac", rendered)
     args = Namespace(work=tmp_path / "work", resolution="8x8", raster_samples=2)
     for name, count in (("a", 2), ("b", 4)):
         scene = tmp_path / name / "city.blend"

@@ -1,4 +1,4 @@
-"""Renders of the open file: Blender's engines as they are, and the path tracer of `core`."""
+"""Renders of the open file by Blender's engines as they are."""
 
 from __future__ import annotations
 
@@ -6,58 +6,22 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bpy
-import numpy as np
-from numpy.typing import NDArray
 
-from ...core.errors import Cancelled, InputError
-from ...core.progress import Progress, silent
-from ...core.scene.model import Scene
-from ..console import muted
-from ..depsgraph import changed, rendered_layers
-from ..pictures import save_pixels, save_render_result, saved_as
+from ....core.errors import InputError
+from ....core.progress import Progress, silent
+from ...console import muted
+from ...depsgraph import changed, rendered_layers
+from ...pictures import save_render_result, saved_as
 from .choices import BLENDER_ENGINES
+from .wishes import samples_of
 
-if TYPE_CHECKING:
-    from ...core.culling.result import Built
-
-HYBRID_SAMPLES = 64  # at most, where nobody says: the rest is the denoiser's
 _SAMPLE = re.compile(r"(\d+)\s*/\s*(\d+)")
-
-
-def samples_of(scene: bpy.types.Scene, engine: str) -> int:
-    """Samples per pixel that the scene asks of an engine of `ENGINES`."""
-    if engine == "eevee":
-        return int(scene.eevee.taa_render_samples)
-    return min(scene.cycles.samples, HYBRID_SAMPLES) if engine == "hybrid" else int(scene.cycles.samples)
-
-
-def left_out(scene: bpy.types.Scene, engine: str) -> list[str]:
-    """What the scene asks of its renders and an engine of `ENGINES`, or "" for none, leaves out, a line each."""
-    out, render = [], scene.render
-    if render.use_border and engine:
-        out.append("render region: the whole picture is rendered")
-    if render.use_multiview and engine:
-        out.append("stereo: one view is rendered, by the camera itself")
-    if render.use_freestyle and engine in BLENDER_ENGINES:
-        out.append("Freestyle: lines of what is culled are not drawn")
-    if engine in BLENDER_ENGINES and len(used := rendered_layers(scene)) > 1 and not (render.use_compositing and scene.compositing_node_group):
-        out.append(f"view layers: the picture is of '{used[0]}', of {len(used)} that were analysed")
-    if engine in ("hybrid", "path"):
-        if len(used := rendered_layers(scene)) > 1:
-            out.append(f"view layers: '{used[0]}' alone is rendered, of {len(used)}")
-        if render.use_freestyle:
-            out.append("Freestyle: no lines are drawn")
-        if render.use_motion_blur:
-            out.append("motion blur: pictures are of one moment")
-        if render.use_compositing and scene.compositing_node_group is not None:
-            out.append("compositing: pictures are as they come out of the engine")
-    return out
 
 
 def render_blender(
@@ -88,45 +52,6 @@ def render_blender(
         seconds = time.perf_counter() - start
     with muted():
         save_render_result(scene, stem)
-    return seconds
-
-
-def render_path(
-    scene: Scene,
-    active: NDArray[np.bool_],
-    stem: Path,
-    samples: int | None = None,
-    seed: int = 0,
-    threads: int = 0,
-    progress: Progress = silent,
-    cancelled: Callable[[], bool] | None = None,
-    built: Built | None = None,
-) -> float:
-    """Render the active instances, (N,) bool, of a core scene by the path tracer, save stem.exr and stem.png, and return the seconds, building included.
-
-    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png. built: the structures of the active instances, where they
-    are there.
-    Raises Cancelled, and saves nothing, where cancelled() says so.
-    """
-    from ...core.accel.blas import BlasCache
-    from ...core.accel.embree import shared_device
-    from ...core.accel.tlas import Tlas
-    from ...core.culling.result import Built
-    from ...core.tracing.tracer import prepare, trace
-
-    blender_scene = bpy.context.scene
-    start = time.perf_counter()
-    if built is None:
-        blas = BlasCache(scene.meshes, shared_device(threads))
-        blas.need(scene.instances.mesh[active])
-        built = Built(blas, Tlas(scene.instances, blas, active), prepare(scene, blas))
-    prepared, tlas = built.prepared.with_emitters(active), built.tlas
-    picture = trace(prepared, tlas, samples or samples_of(blender_scene, "path"), seed=seed, threads=threads, progress=progress, cancelled=cancelled)
-    if cancelled is not None and cancelled():
-        raise Cancelled
-    seconds = time.perf_counter() - start
-    with muted():
-        save_pixels(picture.mean, blender_scene, stem)
     return seconds
 
 

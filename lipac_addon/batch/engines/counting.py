@@ -11,9 +11,9 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..extract.graph import GraphReader
-from ..extract.instances import Placer
-from ..keys import KEY, Keys
+from ...extract.graph import GraphReader
+from ...extract.instances import Placer
+from ...keys import KEY, Keys
 
 
 @dataclass

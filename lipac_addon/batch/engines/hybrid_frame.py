@@ -16,27 +16,27 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from ...core.arrays import F32
-from ...core.culling.options import CullOptions, State
-from ...core.culling.policies import LIGHT_PATHS
-from ...core.errors import Cancelled, InputError
-from ...core.progress import Progress, part, silent
-from ...core.scene.model import RayType, Scene
-from ..console import muted
-from ..pictures import save_pixels
-from ..raster import opengl
-from ..raster.denoise import denoise
-from ..raster.denoise import require as require_denoiser
-from ..raster.first_hits import FirstHits, first_hits
-from ..raster.layers import save_layers
-from ..raster.passes import Passes, render_passes
-from ..timeline import Timeline
+from ....core.arrays import F32
+from ....core.culling.options import CullOptions, State
+from ....core.culling.policies import LIGHT_PATHS
+from ....core.errors import Cancelled, InputError
+from ....core.progress import Progress, part, silent
+from ....core.scene.model import RayType, Scene
+from ...console import muted
+from ...pictures import save_pixels
+from ...raster import opengl
+from ...raster.denoise import denoise
+from ...raster.denoise import require as require_denoiser
+from ...raster.first_hits import FirstHits, first_hits
+from ...raster.layers import save_layers
+from ...raster.passes import Passes, render_passes
+from ...timeline import Timeline
 
 if TYPE_CHECKING:
-    from ...core.culling.result import CullingResult
-    from ...core.hybrid.composition import Light
-    from ...core.scene.film import Picture
-    from ...core.scene.model import FirstHitBuffer
+    from ....core.culling.result import CullingResult
+    from ....core.hybrid.composition import Light
+    from ....core.scene.film import Picture
+    from ....core.scene.model import FirstHitBuffer
 
 AHEAD_BYTES = 1 << 28  # of first hits that wait to be traced
 MOST_PASSES = 16  # of first hits; more samples than these start several paths at each hit
@@ -69,8 +69,8 @@ def render_hybrid(
     scene: the frame, extracted. samples: paths per pixel. decide: what culls, on a worker thread; the default analyses this frame by itself.
     Raises InputError where it cannot be rendered, Cancelled where cancelled() says so.
     """
-    from ...core.culling.analysis import analyze
-    from ...core.hybrid import composition
+    from ....core.culling.analysis import analyze
+    from ....core.hybrid import composition
 
     line = Timeline()
     if options.gi == "none":
@@ -135,7 +135,7 @@ def _draw(
 
 def _without_paths(scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, line: Timeline) -> tuple[CullingResult, dict[str, Any]]:
     """EEVEE's picture with all the light that it makes itself. Nothing is met, so everything is culled."""
-    from ...core.culling.loop import Loop
+    from ....core.culling.loop import Loop
 
     if options.primary != "raster":
         raise InputError("--gi none is a raster and nothing else: it cannot do with --primary traced")
@@ -151,7 +151,7 @@ def _without_paths(scene: Scene, options: HybridOptions, cull: CullOptions, stem
 
 def _compared(scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, cancelled: Callable[[], bool]) -> tuple[F32, F32]:
     """What paths show with nothing culled (`composition.reference`), and EEVEE's picture with all its own light, (H, W, 4), which is saved as stem."""
-    from ...core.hybrid import composition
+    from ....core.hybrid import composition
 
     with ThreadPoolExecutor(1) as worker:
         truth = worker.submit(composition.reference, scene, cull, cancelled)
@@ -216,9 +216,9 @@ class _Tracing:
 
     def decide(self, choose: Callable[[], CullingResult]) -> None:
         """What is kept, and its structures."""
-        from ...core.accel.embree import shared_device
-        from ...core.accel.hitboxes import Hitboxes
-        from ...core.hybrid.composition import boxes_before_lamps
+        from ....core.accel.embree import shared_device
+        from ....core.accel.hitboxes import Hitboxes
+        from ....core.hybrid.composition import boxes_before_lamps
 
         with self.stopping():
             with self.line.stage("analysis", "worker"):
@@ -235,9 +235,9 @@ class _Tracing:
 
     def trace(self, primary: FirstHitBuffer, index: int) -> None:
         """Paths of a pass. Raises Cancelled, also where something else has failed."""
-        from ...core.hybrid.composition import added
-        from ...core.hybrid.denoiser_guides import guides
-        from ...core.tracing.tracer import trace
+        from ....core.hybrid.composition import added
+        from ....core.hybrid.denoiser_guides import guides
+        from ....core.tracing.tracer import trace
 
         self._check()
         with self.stopping(), self.line.stage("tracing", "worker"):
@@ -259,7 +259,7 @@ class _Tracing:
 
     def light(self) -> Light:
         """Of all passes."""
-        from ...core.hybrid.composition import Light
+        from ....core.hybrid.composition import Light
 
         assert self._picture is not None
         return Light.of(self._picture)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lipac.scripts.studies import animation_report
-from lipac.scripts.studies.bench_animation import AFTER, BEFORE, Appearance, appearances, latencies, state_changes
+from lipac.scripts.studies.bench_flythrough import AFTER, BEFORE, Appearance, appearances, latencies, state_changes
 
 F = BEFORE + 12
 

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from lipac.core.errors import InputError
-from lipac.lipac_addon.batch.engines import left_out, render_blender, render_path
+from lipac.lipac_addon.batch.engines.blender import render_blender
+from lipac.lipac_addon.batch.engines.path import render_path
+from lipac.lipac_addon.batch.engines.wishes import left_out
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
 

@@ -1,0 +1,121 @@
+"""What is decided on a frame, for all its view layers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...core.arrays import F32, F64, I64, U8, Records
+from ...core.culling.options import State
+from ...core.errors import NothingToAnalyse
+from ...core.files.report import States, save_states
+from ...core.progress import Progress, part, silent
+from ...core.scene.model import RAY_TYPES
+from ..extract import Extraction
+from ..keys import KEY, Keys
+from .enforcing import verified
+from .job import Cancel, check, never
+from .session import Session
+from .shot_set import ShotSet
+
+if TYPE_CHECKING:
+    from ...core.culling.result import CullingResult
+
+SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays", "iterations", "calibration_paths")  # over view layers, and what ends in _s
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What was decided on a frame, for all its view layers. state (N,), score (N,), hits (N, RAY_TYPES), boxes (H, 2, 3): as of `CullingResult`, boxes in the
+    world; records, names: its keys; entry: for the report."""
+
+    state: U8
+    score: F32
+    hits: I64
+    boxes: F64
+    records: Records
+    names: tuple[str, ...]
+    entry: dict[str, Any]
+    approximated: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def keys(self) -> Keys:
+        """Of the N instances."""
+        return Keys(self.records, self.names)
+
+    def save(self, path: Path, note: str = "") -> None:
+        """As a file of states."""
+        save_states(path, self.state, self.score, self.hits, self.records, self.names, note, self.boxes)
+
+    @property
+    def states(self) -> States:
+        """As they would be read again."""
+        return States(self.state, self.score, self.hits, {name: self.records[name] for name in ("kind", "host", "object", "path")}, self.names)
+
+
+def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, Any]) -> Decided:
+    """What a result says of the frame that was extracted. entry: what the report has of it so far."""
+    scene, keys = extraction.scene, extraction.keys
+    boxes = result.boxes + scene.origin
+    lines = scene.approximated, (*extraction.warnings, *result.warnings)
+    return Decided(result.state, result.score, result.hits, boxes, keys.records, keys.names, entry | result.stats, *lines)
+
+
+def decide_layers(sessions: Sequence[Session], frame: int, last: bool, progress: Progress = silent, cancelled: Cancel = never) -> Decided:
+    """Decide a frame by what each view layer needs: an instance that one of them needs stays. last: as in `run_frame`.
+
+    Where no layer shows anything that light paths can be traced in, but something all the same, nothing is culled. Raises NothingToAnalyse, Cancelled.
+    """
+    parts, shown = [], dict[str, None]()
+    for k, session in enumerate(sessions):
+        within = part(progress, k / len(sessions), (k + 1) / len(sessions), f"view layer {session.layer}: " if len(sessions) > 1 else "")
+        try:
+            extraction, entry = session.sync(frame)
+        except NothingToAnalyse as error:
+            shown |= dict.fromkeys(error.shown)
+            continue
+        check(cancelled)
+        extraction = session.expose(extraction, frame, within, cancelled)
+        if last:
+            session.end_reading()
+        check(cancelled)
+        result = session.decide(extraction, None, within, cancelled)
+        check(cancelled)
+        if not session.job.engine:
+            entry |= verified(session.job, extraction.scene, result.active, silent, cancelled)
+        parts.append(decided_of(extraction, result, entry))
+        del result  # and what it has built
+        if last:
+            session.forget()
+    if not parts and not shown:
+        raise NothingToAnalyse
+    if not parts:
+        nothing = np.zeros(0, np.uint8), np.zeros(0, np.float32), np.zeros((0, RAY_TYPES), np.int64), np.zeros((0, 2, 3))
+        return Decided(*nothing, np.zeros(0, KEY), (), {"frame": frame}, tuple(shown), (str(NothingToAnalyse([*shown])) + "; all is rendered",))
+    return parts[0] if len(parts) == 1 else _united(parts)
+
+
+def _united(parts: Sequence[Decided]) -> Decided:
+    """What several view layers need of a frame together; what each needs is decided by its own picture."""
+    together = ShotSet()
+    for one in parts:
+        together.add(one.states)
+    n = len(together.active)
+    state, score, hits = np.zeros(n, np.uint8), np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64)
+    for one in parts:
+        rows = together.rows(one.states)
+        state[rows], score[rows] = np.maximum(state[rows], one.state), np.maximum(score[rows], one.score)
+        hits[rows] += one.hits
+    entry: dict[str, Any] = {}
+    for name in dict.fromkeys(name for one in parts for name in one.entry):
+        values = [one.entry[name] for one in parts if name in one.entry]
+        entry[name] = sum(values) if name in SUMS or name.endswith("_s") else max(values) if isinstance(values[0], int | float) else values[0]
+    counts = np.bincount(state, minlength=len(State)).tolist()
+    entry |= {"instances": n, "active": counts[State.ACTIVE], "pending": counts[State.PENDING], "culled": counts[State.CULLED], "view_layers": len(parts)}
+    lines = [tuple(dict.fromkeys(line for one in parts for line in getattr(one, name))) for name in ("approximated", "warnings")]
+    return Decided(state, score, hits, np.concatenate([one.boxes for one in parts]), together.keys.records, together.keys.names, entry, *lines)

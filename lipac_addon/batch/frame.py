@@ -1,0 +1,163 @@
+"""One frame of a job: decide, write back or render by an engine of ours, verify; once more with a tighter budget where that is broken."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+
+from ...core.culling.options import State
+from ...core.files.report import Report, save_states
+from ...core.progress import Progress, part, silent
+from ...core.scene.model import RAY_TYPES, Scene
+from .. import writeback
+from ..console import muted
+from ..depsgraph import show_frame
+from ..extract import Extraction
+from ..keys import Keys
+from .deciding import Decided, decide_layers, decided_of
+from .enforcing import ENFORCED, broken, measured, tightened, verified
+from .engines.blender import render_blender
+from .engines.choices import BLENDER_ENGINES
+from .engines.counting import counting
+from .engines.hybrid_frame import render_hybrid
+from .engines.path import render_path
+from .engines.wishes import samples_of
+from .job import Cancel, Job, check, never
+from .session import Session, sessions_of
+
+if TYPE_CHECKING:
+    from ...core.culling.result import CullingResult
+
+ANALYSIS_SHARE = 0.2  # of a frame's progress, where it is rendered too
+
+
+def run_frame(sessions: Sequence[Session], frame: int, report: Report, progress: Progress = silent, cancelled: Cancel = never, last: bool = True) -> None:
+    """One frame of a job, added to the report. last: nothing follows, so nothing need be kept for it. Raises InputError, Cancelled."""
+    job = sessions[0].job
+    budget = job.options.max_error if job.verify and not job.options.by_counts else None
+    outcome = _done(sessions, frame, progress, cancelled, last)
+    for attempt in range(ENFORCED if job.enforce else 0):
+        if budget is None or not broken(outcome.entry, budget):
+            break
+        tighter = tightened(job, outcome.entry, attempt)
+        with ExitStack() as stack:
+            outcome = _done([stack.enter_context(session) for session in sessions_of(tighter)], frame, progress, cancelled, True)
+        outcome.entry["enforced"] = attempt + 1
+    if budget is not None and broken(outcome.entry, budget):
+        report.broken = True
+        outcome = outcome.warned(measured(outcome.entry).warning(budget))
+    report.add_frame(outcome.entry, outcome.approximated, outcome.warnings)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a frame's work came to: its entry for the report, and lines for the user."""
+
+    entry: dict[str, Any]
+    approximated: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def warned(self, line: str) -> Outcome:
+        """With one line more."""
+        return replace(self, warnings=(*self.warnings, line))
+
+
+def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled: Cancel, last: bool) -> Outcome:
+    """Decide, render and verify a frame."""
+    job = sessions[0].job
+    if job.whole:
+        return Outcome(_render_whole(job, frame, progress))
+    if job.engine in ("", *BLENDER_ENGINES):
+        within = part(progress, 0.0, ANALYSIS_SHARE if job.engine else 1.0)
+        decided = decide_layers(sessions, frame, last, within, cancelled)
+        decided.save(job.states(frame))
+        entry, warnings = decided.entry, decided.warnings
+        if job.engine:
+            warnings = (*warnings, *write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry))
+            approximated = decided.approximated
+            del decided
+            for session in sessions if last else ():
+                session.close()  # the render needs the memory
+            gc.collect()
+            rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
+            entry["render_s"] = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, rest)
+            entry |= verified(job, None, None, rest, cancelled)
+            return Outcome(entry, approximated, warnings)
+        return Outcome(entry, decided.approximated, warnings)
+    decided = _by_ours(sessions[0], frame, progress, cancelled, last)
+    return Outcome(decided.entry, decided.approximated, decided.warnings)
+
+
+def _by_ours(session: Session, frame: int, progress: Progress, cancelled: Cancel, last: bool) -> Decided:
+    """Decide and render a frame by one of our engines."""
+    job = session.job
+    extraction, entry = session.sync(frame)
+    if last:
+        session.end_reading()
+    check(cancelled)
+    if job.engine == "hybrid":
+
+        def choose(scene: Scene) -> CullingResult:
+            return session.decide(extraction, scene, part(progress, 0.0, 0.3), cancelled)
+
+        result = hybrid(job, extraction, entry, progress, cancelled, choose)
+    else:
+        result = session.decide(extraction, None, part(progress, 0.0, ANALYSIS_SHARE), cancelled)
+        check(cancelled)
+    if last:
+        session.forget()
+    decided = decided_of(extraction, result, entry)
+    decided.save(job.states(frame))
+    if job.engine == "path":
+        entry, scene, rest = decided.entry, extraction.scene, part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
+        entry["render_s"] = render_path(scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled, result.built)
+        entry |= verified(job, scene, result.active, rest, cancelled)
+    return decided
+
+
+def hybrid(
+    job: Job,
+    extraction: Extraction,
+    entry: dict[str, Any],
+    progress: Progress,
+    cancelled: Cancel,
+    decide: Callable[[Scene], CullingResult],
+) -> CullingResult:
+    """Render a frame by the hybrid renderer; its figures go into the entry. decide: as of `render_hybrid`."""
+    samples = job.samples or samples_of(bpy.context.scene, job.engine)
+    stem = job.stem(entry["frame"])
+    result, figures = render_hybrid(extraction.scene, job.hybrid, job.options, stem, samples, job.seed, job.threads, progress, cancelled, decide)
+    entry |= result.stats | figures
+    return result
+
+
+def _render_whole(job: Job, frame: int, progress: Progress) -> dict[str, Any]:
+    """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed. Returns the entry for the report."""
+    show_frame(bpy.context.scene, frame)
+    with counting() as counted:
+        seconds = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, part(progress, 0.0, 1.0, "rendering, "))
+    n = len(counted.keys.records)
+    nothing = np.zeros((n, RAY_TYPES), np.int64)
+    save_states(job.states(frame), np.full(n, State.ACTIVE, np.uint8), np.zeros(n, np.float32), nothing, counted.keys.records, counted.keys.names)
+    counts = {"instances": n, "active": n, "meshes": counted.meshes}
+    return {"frame": frame, "sync_s": counted.seconds, "render_s": seconds - counted.seconds, **counts}
+
+
+def write_back(culled: np.ndarray, keys: Keys, entry: dict[str, Any], lasting: bool = False) -> list[str]:
+    """Take culled (N,) bool out of renders of the open file; what that came to goes into the frame's entry, what could not be is said in the lines returned.
+
+    lasting: the file is to be saved so.
+    """
+    start = time.perf_counter()
+    with muted():
+        applied = writeback.apply(culled, keys, lasting=lasting)
+    entry["writeback_s"] = time.perf_counter() - start
+    entry["writeback"] = applied.summary()
+    return [f"{count:,} culled instances stay in the render: {why}" for why, count in applied.kept.items()]

@@ -1,0 +1,83 @@
+"""What a command is to do with the open file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ...core.culling.options import CullOptions
+from ...core.culling.policies import NOTHING
+from ...core.errors import Cancelled
+from ...core.files.atomic import is_whole
+from .engines.choices import BLENDER_ENGINES
+from .engines.hybrid_frame import HybridOptions
+
+FRAME, SHOT = "frame", "shot"
+Cancel = Callable[[], bool]
+
+
+def never() -> bool:
+    """The `cancelled` of work that goes on to its end."""
+    return False
+
+
+def check(cancelled: Cancel) -> None:
+    """Raise Cancelled where it says so."""
+    if cancelled():
+        raise Cancelled
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to do with the open file. engine: one of `engines.ENGINES`, or "" to analyse only; samples: None as in the scene; threads: 0 for all.
+
+    hybrid: for the engine of that name. bake: FRAME, each frame by itself, or SHOT, in all frames what any of them needs. save: where to save the .blend with
+    the set of the shot baked in. resume: leave frames alone that the folder has already. warm: a frame begins with what the one before it needed, and keeps
+    what that kept as long as it is worth something (hysteresis); else frames decide by themselves, and ranges can be split. shot: the frames that a set is for,
+    where `frames` are a part of them; other processes may do other parts into the same folder. verify: how many crops to render full as well, to state
+    the error that was measured (`verify`). enforce: where that breaks the budget, analyse again with a tighter one, and in the end keep everything.
+    """
+
+    folder: Path
+    frames: tuple[int, ...]
+    options: CullOptions
+    engine: str = ""
+    samples: int | None = None
+    seed: int = 0
+    threads: int = 0
+    hybrid: HybridOptions = field(default_factory=HybridOptions)
+    bake: str = FRAME
+    save: Path | None = None
+    resume: bool = False
+    warm: bool = False
+    shot: tuple[int, ...] = ()
+    verify: int = 0
+    enforce: bool = False
+
+    def stem(self, frame: int) -> Path:
+        """A frame's pictures, without their endings."""
+        return self.folder / f"frame_{frame:04}"
+
+    def states(self, frame: int) -> Path:
+        """A frame's states."""
+        return self.folder / "states" / f"frame_{frame:04}.npz"
+
+    def analysis(self, frame: int) -> Path:
+        """What a frame of a shot needs by itself."""
+        return self.folder / "analysis" / f"frame_{frame:04}.npz"
+
+    def pictures(self, frame: int) -> list[Path]:
+        """All pictures of a frame."""
+        stem = self.stem(frame)
+        endings = [] if not self.engine else [".exr", ".png"]
+        return [stem.with_name(stem.name + end) for end in [*endings, *(["_layers.exr"] if self.engine == "hybrid" else [])]]
+
+    def is_finished(self, frame: int) -> bool:
+        """Whether the folder has all files of a frame, each of them whole."""
+        return all(is_whole(path) for path in (self.states(frame), *self.pictures(frame)))
+
+    @property
+    def whole(self) -> bool:
+        """Whether Blender renders its scene as it is, so that there is nothing to analyse."""
+        return self.options.policy == NOTHING and self.engine in BLENDER_ENGINES

@@ -1,0 +1,121 @@
+"""What goes from frame to frame: Blender in, and the decision which instances stay."""
+
+from __future__ import annotations
+
+import gc
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+
+from ...core.culling.options import CullOptions, State
+from ...core.culling.policies import LIGHT_PATHS
+from ...core.progress import Progress, part, silent
+from ...core.scene.bounds import existing
+from ...core.scene.model import RAY_TYPES, Scene
+from .. import writeback
+from ..console import muted
+from ..depsgraph import rendered_layers
+from ..extract import Extraction, Extractor
+from ..keys import any_of
+from .engines.choices import BLENDER_ENGINES
+from .job import Cancel, Job, never
+
+if TYPE_CHECKING:
+    from ...core.culling.result import CullingResult
+    from ...core.culling.shot import Shot
+
+
+class Session:
+    """What goes from frame to frame of a job, for one view layer: the extractor, and the loop."""
+
+    def __init__(self, job: Job, layer: str | None = None, keep: bool = True) -> None:
+        """layer: name, None takes the first that renders. keep: hold Blender's graph from frame to frame, where that pays: one at a time can."""
+        self.job, self.layer = job, layer
+        self.keep = keep and job.engine in ("", "path") and len(job.frames) > 1  # other engines make Blender free the graph
+        self._extractor: Extractor | None = None
+        self._shot: Shot | None = None
+        self._pinned: np.ndarray | None = None  # what the frame needs at other moments of its exposure
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def forget(self) -> None:
+        """Let go of the loop, and what it has built."""
+        self._shot = None
+
+    def close(self) -> None:
+        """Let go of everything, in Blender too."""
+        self.forget()
+        if self._extractor is not None:
+            with muted():
+                self._extractor.release()
+            self._extractor = None
+        gc.collect()
+
+    def sync(self, frame: int) -> tuple[Extraction, dict[str, Any]]:
+        """Extract a frame of the open file with nothing culled; the second value is the frame's entry for the report so far."""
+        start = time.perf_counter()
+        with muted():
+            writeback.restore()
+            whole = self.job.engine in ("", *BLENDER_ENGINES)
+            self._extractor = self._extractor or Extractor(bpy.context.scene, self.layer, whole=whole)
+            extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
+        self._pinned = None
+        return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}
+
+    def expose(self, extraction: Extraction, frame: int, progress: Progress = silent, cancelled: Cancel = never) -> Extraction:
+        """Find out what a frame needs while its shutter is open and things are elsewhere: it stays, whatever the frame's own moment needs. Returns the frame as
+        it is, extracted anew where there was anything to find out."""
+        if not extraction.moments or self._extractor is None:
+            return extraction
+        needed = []
+        for k, moment in enumerate(extraction.moments):
+            with muted():
+                other = self._extractor.frame(frame, True, moment)
+            within = part(progress, k / len(extraction.moments), (k + 1) / len(extraction.moments), f"{moment:+.2g} frames: ")
+            needed.append(other.keys.records[self.decide(other, None, within, cancelled).active])
+        with muted():
+            extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
+        self._pinned = any_of(extraction.keys.records, needed)
+        return extraction
+
+    def end_reading(self) -> None:
+        """No frame follows: let go of what would tell it from the last one. Meshes of that can still be read."""
+        if not self.keep:
+            self._extractor = None
+
+    def decide(self, extraction: Extraction, scene: Scene | None = None, progress: Progress = silent, cancelled: Cancel = never) -> CullingResult:
+        """Which instances of the frame that was extracted last stay. scene: what to look at in its place, with the same instances and meshes."""
+        from ...core.culling.shot import Shot
+
+        if self.job.options.policy != LIGHT_PATHS and self.job.engine in BLENDER_ENGINES:
+            return _by_rule(extraction.scene, self.job.options, self._pinned)
+        if self._shot is None:
+            self._shot = Shot(self.job.options, independent=not self.job.warm)
+        return self._shot.advance(scene or extraction.scene, extraction.change, progress, cancelled, self._pinned)
+
+
+def _by_rule(scene: Scene, options: CullOptions, pinned: np.ndarray | None) -> CullingResult:
+    """What a policy without light paths keeps, and pinned, (N,) bool. No mesh need be read for it: the engine builds its own structures."""
+    from ...core.culling.result import CullingResult
+
+    start = time.perf_counter()
+    keep = options.rule(scene) & existing(scene.instances.bounds)
+    keep |= False if pinned is None else pinned
+    n, active = len(keep), int(np.count_nonzero(keep))
+    meshes = len(np.unique(scene.instances.mesh[keep]))
+    stats = {"instances": n, "active": active, "pending": 0, "culled": n - active, "meshes": meshes, "feedback_s": time.perf_counter() - start}
+    nothing = np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64), np.zeros((0, 2, 3), np.float32)
+    return CullingResult(np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED)), *nothing, stats)
+
+
+def sessions_of(job: Job) -> list[Session]:
+    """One for each view layer that the job's engine renders."""
+    layers = rendered_layers(bpy.context.scene) if job.engine in ("", *BLENDER_ENGINES) else ()
+    return [Session(job, layer, keep=len(layers) == 1) for layer in layers] or [Session(job)]
