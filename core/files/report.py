@@ -10,6 +10,7 @@ import itertools
 import json
 import os
 import time
+import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +30,7 @@ SECONDS = ("sync_s", "build_s", "trace_s", "feedback_s", "writeback_s", "render_
 SUMS = (*SECONDS, "verify_s", "blas_built", "paths", "rays", "iterations")
 LARGEST = ("blas_bytes", "tlas_bytes")
 COUNTS = ("instances", "active", "pending", "culled", "hitboxes", "meshes")
+UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)  # what reading states raises
 FIELDS = ("frame", *COUNTS, "blas_built", *LARGEST, *SECONDS, "paths", "rays", "iterations")
 
 
@@ -251,7 +253,7 @@ def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, nam
 
 
 def load_states(path: Path) -> States:
-    """What `save_states` wrote. Raises OSError, ValueError or KeyError where it is not such a file."""
+    """What `save_states` wrote. Raises one of UNREADABLE where it is not such a file."""
     with np.load(path) as data:
         keys = {name: data[f"key_{name}"] for name in ("kind", "host", "object", "path")}
         note = str(data["note"]) if "note" in data.files else ""

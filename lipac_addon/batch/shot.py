@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from contextlib import ExitStack
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from ...core.culling.options import State
 from ...core.files.atomic import alone, is_whole
-from ...core.files.report import Report, States, load_states, save_states
+from ...core.files.report import UNREADABLE, Report, States, load_states, save_states
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import RAY_TYPES
 from ..depsgraph import show_frame
@@ -27,7 +26,6 @@ from .session import Session, sessions_of
 from .shot_set import ShotSet
 
 TRIES = 3
-UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, cancelled: Cancel) -> None:

@@ -10,10 +10,12 @@ from typing import Any
 
 from ...core.culling.options import CullOptions
 from ...core.files.atomic import is_whole, sweep
-from ...core.files.report import load_states
+from ...core.files.report import UNREADABLE, load_states
 from ...core.files.usage import peak_memory
 from ...core.progress import Progress, part, silent
-from ..batch.pipeline import UNREADABLE, Cancel, Job, check, decide_layers, never, sessions_of
+from ..batch.deciding import decide_layers
+from ..batch.job import Cancel, Job, check, never
+from ..batch.session import sessions_of
 from .layout import FarmShot
 from .opening import open_shot
 

@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 
 from ...core.errors import InputError
-from ..batch.pipeline import Cancel, check, never
+from ..batch.job import Cancel, check, never
 from ..batch.verify import Crop
 from ..pictures import read_picture
 from .layout import SCRIPT, FarmShot, read_json

@@ -14,12 +14,13 @@ import bpy
 
 from ...core.errors import InputError
 from ...core.files.atomic import is_whole, sweep
-from ...core.files.report import load_states
+from ...core.files.report import UNREADABLE, load_states
 from ...core.files.usage import peak_memory
 from ...core.progress import Progress, silent
 from .. import writeback
 from ..batch.baked import save_copy
-from ..batch.pipeline import UNREADABLE, Cancel, check, never, write_back
+from ..batch.frame import write_back
+from ..batch.job import Cancel, check, never
 from ..batch.shot_set import ShotSet
 from ..console import muted
 from .layout import FarmShot, read_json, write_json

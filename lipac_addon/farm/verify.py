@@ -15,7 +15,7 @@ from typing import Any
 from ...core.error_budget.budget import Budget
 from ...core.errors import InputError
 from ...core.progress import Progress, part, silent
-from ..batch.pipeline import Cancel, check, never
+from ..batch.job import Cancel, check, never
 from ..batch.verify import change, random_crops
 from .analyse import decide_frames, note_of
 from .children import crops_of, render

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ...core.progress import Progress
-    from ...lipac_addon.batch.pipeline import Cancel
+    from ...lipac_addon.batch.job import Cancel
 
 FARMS = ("openjd", "flamenco", "local")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ....core.progress import Progress, silent
-from ...batch.pipeline import Cancel, never
+from ...batch.job import Cancel, never
 from ...batch.verify import GRID, random_crops
 from ..analyse import note_of
 from ..children import crops_of, run
