@@ -32,6 +32,7 @@ LINKED = "its host takes no modifier: linked from a library, or of a type withou
 SHARED = "its object also makes instances that stay"
 NESTED = "other parts of the same nested instance stay"
 PART = "part of a collection instance: the same part stays elsewhere"
+READS_IDS = "a material reads the ids of instances, which the mask stores"
 PARTICLE = "single particles cannot be removed"
 DUPLI = "single vertex and face duplicates cannot be removed"
 
@@ -193,7 +194,7 @@ class _Planner:
             if n in hidden or not self.culled[instances].any():
                 continue
             ob = self.found.get(self.names[n])
-            reason = self.modifier_obstacle(ob)
+            reason = self.modifier_obstacle(ob) or (READS_IDS if self.references.ids_are_read else None)
             if ob is None or reason is not None:
                 self.host_reason[n] = reason or MISSING
                 continue

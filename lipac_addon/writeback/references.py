@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import cached_property
 
 import bpy
 
@@ -37,6 +38,14 @@ class References:
         self._drivers = _read_by_drivers()
         self._elsewhere = _shown_in(others, users)
         self._particle_sources = {m.object for ob in bpy.data.objects for m in ob.modifiers if m.type == "PARTICLE_INSTANCE"}
+
+    @cached_property
+    def ids_are_read(self) -> bool:
+        """Whether a material reads the attribute `id` of instances, of which Blender knows nothing where a scatter has none."""
+        trees = [m.node_tree for m in bpy.data.materials if m.node_tree is not None]
+        trees += [tree for tree in bpy.data.node_groups if tree.bl_idname == "ShaderNodeTree"]
+        attributes = (node for tree in trees for node in tree.nodes if node.bl_idname == "ShaderNodeAttribute")
+        return any(node.attribute_type == "INSTANCER" and node.attribute_name == "id" for node in attributes)
 
     def feeds(self, block: bpy.types.Object | bpy.types.Collection) -> bool:
         """Whether another object instances this one, or something that contains it."""

@@ -26,6 +26,10 @@ def left_out(scene: bpy.types.Scene, engine: str) -> list[str]:
         out.append("stereo: one view is rendered, by the camera itself")
     if render.use_freestyle and engine in BLENDER_ENGINES:
         out.append("Freestyle: lines of what is culled are not drawn")
+    if engine == "eevee" and any(ob.type == "LIGHT" and ob.data.type == "SUN" and not ob.hide_render for ob in scene.objects):
+        out.append(
+            "EEVEE's sun: its shadows are as fine as what casts them is wide, so single pixels at their edges may differ from a render with nothing culled"
+        )
     if engine in BLENDER_ENGINES and len(used := rendered_layers(scene)) > 1 and not (render.use_compositing and scene.compositing_node_group):
         out.append(f"view layers: the picture is of '{used[0]}', of {len(used)} that were analysed")
     if engine in ("hybrid", "path"):

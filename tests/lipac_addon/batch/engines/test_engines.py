@@ -97,6 +97,9 @@ def test_no_camera(boxes, tmp_path):
 
 def test_left_out(boxes):
     """What a scene asks of its renders and an engine does not do is named; what it does not ask is not."""
+    assert [line.partition(":")[0] for line in left_out(boxes, "eevee")] == ["EEVEE's sun"]
+    for sun in [ob for ob in boxes.objects if ob.type == "LIGHT"]:
+        sun.data.type = "POINT"
     assert [left_out(boxes, engine) for engine in ("", "cycles", "eevee", "hybrid", "path")] == [[]] * 5
     boxes.render.use_border = boxes.render.use_motion_blur = True
     boxes.view_layers.new("second")
