@@ -17,7 +17,6 @@ from ...core.files.atomic import is_whole, sweep
 from ...core.files.report import UNREADABLE, load_states
 from ...core.files.usage import peak_memory
 from ...core.progress import Progress, silent
-from .. import writeback
 from ..batch.baked import save_copy
 from ..batch.frame import write_back
 from ..batch.job import Cancel, check, never
@@ -25,6 +24,7 @@ from ..batch.shot_set import ShotSet
 from ..console import muted
 from .layout import FarmShot, read_json, write_json
 from .opening import open_shot
+from .stripping import strip
 
 
 def unite(shot: FarmShot, progress: Progress = silent, cancelled: Cancel = never) -> dict[str, Any]:
@@ -71,16 +71,17 @@ def digest_of(together: ShotSet) -> str:
 
 
 def save_culled(together: ShotSet, path: Path) -> dict[str, Any]:
-    """Save the open scene with only a set's active instances in renders; what came of that. The open scene is as before. Raises OSError."""
+    """Save the open scene with only a set's active instances in renders, without what it then does not need; what came of that. It has to be opened again.
+
+    Raises OSError.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     written: dict[str, Any] = {}
+    warnings = write_back(~together.active, together.keys, written, lasting=True)
+    with muted():
+        removed = strip()
     try:
-        warnings = write_back(~together.active, together.keys, written, lasting=True)
-        try:
-            save_copy(path)
-        except RuntimeError as error:
-            raise OSError(errno.EIO, str(error).strip().removeprefix("Error: ").splitlines()[0], str(path)) from error
-    finally:
-        with muted():
-            writeback.restore()
-    return {**written, "warnings": warnings, "blender": bpy.app.version_string}
+        save_copy(path)
+    except RuntimeError as error:
+        raise OSError(errno.EIO, str(error).strip().removeprefix("Error: ").splitlines()[0], str(path)) from error
+    return {**written, "warnings": warnings, "removed": removed, "blender": bpy.app.version_string}

@@ -1,0 +1,54 @@
+"""What a culled file need not carry: objects that are hidden in all frames and that nothing else uses, and the data that only they use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import bpy
+
+from ..writeback.marks import HIDDEN, all_marks
+
+# Kept by a fake user alone, these are nothing to a render
+_FAKE = ("meshes", "curves", "materials", "images", "node_groups", "textures", "armatures", "actions", "objects", "collections")
+
+
+def strip() -> int:
+    """Remove from the open file what write-back has hidden and nothing else refers to, with its data; returns how many objects went. Restore does not bring
+    them back.
+
+    An object stays where anything but collections and scenes uses it, a constraint, a driver or a child that stays, for example; or one of its collections is
+    instanced, or read by nodes, for what these show may go by the places of objects in it.
+    """
+    hidden = {ob for ob, words in all_marks().items() if words == [HIDDEN] and ob.library is None and ob.override_library is None}
+    picked = _used_collections()
+    users = bpy.data.user_map(subset=hidden) if hidden else {}
+    going = {ob for ob in hidden if not picked & set(ob.users_collection)}
+    while True:
+        staying = {ob for ob in going if not all(_lets_go(user, ob, going) for user in users[ob])}
+        if not staying:
+            break
+        going -= staying
+    bpy.data.batch_remove(going)
+    _drop_fakes(_FAKE)
+    bpy.data.orphans_purge(do_local_ids=True, do_linked_ids=True, do_recursive=True)
+    return len(going)
+
+
+def _lets_go(user: bpy.types.ID, ob: bpy.types.Object, going: set[bpy.types.Object]) -> bool:
+    """Whether a user of an object does not mind that it goes."""
+    return isinstance(user, bpy.types.Collection) or (isinstance(user, bpy.types.Scene) and user.camera != ob) or user in going
+
+
+def _used_collections() -> set[bpy.types.Collection]:
+    """Those that something else than scenes and collections uses, and all in these."""
+    users: dict[Any, set[bpy.types.ID]] = bpy.data.user_map(subset=bpy.data.collections) if bpy.data.collections else {}
+    used = {c for c, by in users.items() if any(not isinstance(user, bpy.types.Collection | bpy.types.Scene) for user in by)}
+    return used | {child for collection in used for child in collection.children_recursive}
+
+
+def _drop_fakes(kinds: Iterable[str]) -> None:
+    for kind in kinds:
+        for block in getattr(bpy.data, kind):
+            if block.use_fake_user and block.users == 1 and block.library is None:
+                block.use_fake_user = False
