@@ -16,6 +16,7 @@ STEPS = {
     "render": "pictures of frames of shot.blend, by a Blender that need not have LiPaC",
     "verify": "measure what culling changes in frames of the sample; where it is too much, mend the frames around",
     "certify": "certificate.json and certificate.html",
+    "pack": "shot.blend and the files that it needs, to be sent",
 }
 
 
@@ -57,8 +58,10 @@ def done(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> int
     import sys
 
     from ...core.errors import InputError
+    from ...core.files.report import size
     from ...core.progress import part
     from ...lipac_addon.farm import analyse, certificate, children, unite, verify
+    from ...lipac_addon.farm.jobs import pack
     from ...lipac_addon.farm.layout import FarmShot
     from ..streams import say
 
@@ -80,6 +83,12 @@ def done(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> int
         for k, number in enumerate(checks):
             results.append(verify.verify(shot, number, args.blender, args.threads, part(progress, k / len(checks), (k + 1) / len(checks)), cancelled))
         line = "\n".join(certificate.verdict(found) for found in results)
+    elif args.step == "pack":
+        found = pack.pack(shot, args.blender)
+        sizes = [f"{found[name]['files']} files, {size(found[name]['bytes'])}" for name in ("culled", "full")]
+        line = f"{shot.folder / pack.PACKED} has {sizes[0]}; in full: {sizes[1]}"
+        for path in found["culled"]["missing"]:
+            say(f"warning: missing: {path}", sys.stderr)
     else:
         written = certificate.certify(shot)
         line, status = certificate.summary(written), 3 if written["broken"] else 0
