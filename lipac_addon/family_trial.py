@@ -135,6 +135,6 @@ def _render(samples: int, seed: int, threads: int) -> tuple[F32, float]:
     """A picture of the open file by Cycles, (H, W, 4) float32, and the seconds that it took."""
     with tempfile.TemporaryDirectory(prefix="lipac") as folder:
         stem = Path(folder) / "picture"
-        took = render_blender("cycles", stem, samples, seed, threads)
+        took = render_blender("cycles", stem, samples, seed, threads).seconds
         with muted():
             return read_picture(stem.with_suffix(".exr")), took

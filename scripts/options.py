@@ -29,9 +29,15 @@ from .streams import say
 
 if TYPE_CHECKING:
     from ..core.files.report import Report
+    from ..lipac_addon.batch.engines.choices import DeviceChoice
     from ..lipac_addon.batch.job import Job
 
 MOST_LINES = 20  # of a kind that a command prints
+HARDWARE = {
+    "eevee": "EEVEE is on the graphics card that the system's graphics driver gives it",
+    "hybrid": "paths are traced on the CPU, and EEVEE is on the graphics card that the driver gives it",
+    "path": "the path tracer is on the CPU",
+}
 LAST_FRAME = 1048574  # Blender's own limit
 
 
@@ -141,6 +147,16 @@ def crop_count(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 12:
         raise argparse.ArgumentTypeError(f"'{text}' is no number of parts of a picture: give 1 to 12")
     return int(text)
+
+
+def device(text: str) -> DeviceChoice:
+    """Where Cycles renders, of 'KIND' or 'KIND:CARD,CARD'. Raises ArgumentTypeError."""
+    from ..lipac_addon.batch.engines.choices import DEVICES, DeviceChoice
+
+    try:
+        return DeviceChoice.parse(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"'{text}' is no device: give one of {', '.join(DEVICES)}, or cards of a kind, for example optix:0,1") from error
 
 
 def byte_count(text: str) -> int:
@@ -256,6 +272,8 @@ def check(args: argparse.Namespace) -> None:
         raise InputError("--enforce acts on what --verify measures: give both")
     if args.enforce and (args.cull != "light-paths" or args.min_share is not None or args.warm):
         raise InputError("--enforce keeps to --max-error: it goes with --cull light-paths, without --min-share and --warm")
+    if getattr(args, "device", None) is not None and args.engine != "cycles":
+        raise InputError(f"--device chooses where Cycles renders; {HARDWARE[args.engine]}")
     if args.verify and args.cull == "none":
         raise InputError("--verify measures what culling changes: with --cull none nothing does")
     if args.scene is not None and not args.scene.exists():
@@ -264,9 +282,7 @@ def check(args: argparse.Namespace) -> None:
     output_folder(args.output)
 
 
-def do_frames(
-    args: argparse.Namespace, engine: str = "", samples: int | None = None, hybrid: dict[str, Any] | None = None, save: Path | None = None
-) -> Report:
+def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = None, hybrid: dict[str, Any] | None = None, save: Path | None = None) -> Report:
     """What `analyze` and `render` share: check, open, work through the frames, and print the table. hybrid: fields of `HybridOptions`; save: as in `Job`."""
     check(args)
     # Blender's start, too: it swallows exceptions while it starts, and goes on half started
@@ -277,7 +293,7 @@ def do_frames(
         with muted():
             import bpy
         from ..lipac_addon.batch.baked import check_target
-        from ..lipac_addon.batch.engines.choices import BLENDER_ENGINES
+        from ..lipac_addon.batch.engines.choices import AS_SET, BLENDER_ENGINES
         from ..lipac_addon.batch.engines.hybrid_frame import HybridOptions
         from ..lipac_addon.batch.job import Job
         from ..lipac_addon.batch.pipeline import run
@@ -304,7 +320,7 @@ def do_frames(
         if scene.camera is None:
             raise InputError(f"scene '{scene.name}' has no camera: add one and make it active, or use --camera {AUTO} to frame everything")
         frames, mixed = args.frames or (scene.frame_current,), HybridOptions(**(hybrid or {}))
-        more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify, args.enforce)
+        more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify, args.enforce, getattr(args, "device", None) or AS_SET)
         job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more)
         report = new_report(args, job)
         report.began = began()
@@ -338,12 +354,15 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     import bpy
 
     from ..core.files.report import Report
+    from ..lipac_addon.batch.engines.choices import AS_SET
     from ..lipac_addon.batch.job import SHOT
 
     scene, path = bpy.context.scene, args.scene or bpy.data.filepath
     options: dict[str, Any] = {name: value for name, value in dataclasses.asdict(job.options).items() if name not in ("threads", "seed", "policy")}
     options |= {"resolution": [scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage], "camera": args.camera or ""}
     options |= {"samples": job.samples, "bake": job.bake, "warm": job.warm, "file": digest(Path(path), *linked_files()) if path else ""}
+    if job.device != AS_SET:
+        options["device"] = str(job.device)
     if job.engine == "hybrid":
         options["hybrid"] = dataclasses.asdict(job.hybrid)
     if job.bake == SHOT or job.warm:

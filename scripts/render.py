@@ -9,12 +9,14 @@ def main(argv: Sequence[str]) -> int:
     """Write a picture and the states of each frame, and report.json; returns the exit status."""
     from ..core.hybrid.modes import MODES
     from ..lipac_addon.batch.engines.choices import ENGINES
-    from .options import do_frames, sample_count, scene_parser
+    from .options import device, do_frames, sample_count, scene_parser
 
     parser = scene_parser("render", "Cull a scene by its light paths and render it: pictures, states per frame and report.json.")
     engines = "default: %(default)s; path: the path tracer of the analysis; hybrid: EEVEE and it together"
     parser.add_argument("--engine", choices=ENGINES, default="cycles", help=engines)
     parser.add_argument("--samples", type=sample_count, metavar="N", help="per pixel (default: the scene's)")
+    where = "where Cycles renders: auto (default: as the file and the preferences say), cpu, cuda, optix, hip, oneapi or metal; cards by number or name"
+    parser.add_argument("--device", type=device, metavar="KIND[:CARD,...]", help=where)
     hybrid = parser.add_argument_group("--engine hybrid")
     hybrid.add_argument("--gi", choices=MODES, default="path", help="what paths bring: all, one bounce, no diffuse bounce, nothing (default: %(default)s)")
     hybrid.add_argument("--primary", choices=("raster", "traced"), default="raster", help="what finds first hits; traced: no OpenGL (default: %(default)s)")

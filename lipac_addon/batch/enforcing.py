@@ -30,7 +30,7 @@ def verified(job: Job, scene: Scene | None, active: np.ndarray | None, progress:
 
     start = time.perf_counter()
     if scene is None or active is None:
-        found = verified_blender(job.engine, job.samples, job.seed, job.threads, job.verify, progress)
+        found = verified_blender(job.engine, job.samples, job.seed, job.threads, job.verify, progress, job.device)
     else:
         samples = job.samples or samples_of(bpy.context.scene, "path")
         found = verified_path(scene, active, samples, job.seed, job.threads, job.verify, cancelled)

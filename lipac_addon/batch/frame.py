@@ -87,7 +87,7 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
                 session.close()  # the render needs the memory
             gc.collect()
             rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
-            entry["render_s"] = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, rest)
+            entry |= render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, rest, device=job.device).entry()
             entry |= verified(job, None, None, rest, cancelled)
             return Outcome(entry, approximated, warnings)
         return Outcome(entry, decided.approximated, warnings)
@@ -142,12 +142,13 @@ def _render_whole(job: Job, frame: int, progress: Progress) -> dict[str, Any]:
     """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed. Returns the entry for the report."""
     show_frame(bpy.context.scene, frame)
     with counting() as counted:
-        seconds = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, part(progress, 0.0, 1.0, "rendering, "))
+        within = part(progress, 0.0, 1.0, "rendering, ")
+        rendered = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, within, device=job.device)
     n = len(counted.keys.records)
     nothing = np.zeros((n, RAY_TYPES), np.int64)
     save_states(job.states(frame), np.full(n, State.ACTIVE, np.uint8), np.zeros(n, np.float32), nothing, counted.keys.records, counted.keys.names)
     counts = {"instances": n, "active": n, "meshes": counted.meshes}
-    return {"frame": frame, "sync_s": counted.seconds, "render_s": seconds - counted.seconds, **counts}
+    return {"frame": frame, "sync_s": counted.seconds, **rendered.entry(), "render_s": rendered.seconds - counted.seconds, **counts}
 
 
 def write_back(culled: np.ndarray, keys: Keys, entry: dict[str, Any], lasting: bool = False) -> list[str]:

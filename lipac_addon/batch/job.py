@@ -10,7 +10,7 @@ from ...core.culling.options import CullOptions
 from ...core.culling.policies import NOTHING
 from ...core.errors import Cancelled
 from ...core.files.atomic import is_whole
-from .engines.choices import BLENDER_ENGINES
+from .engines.choices import AS_SET, BLENDER_ENGINES, DeviceChoice
 from .engines.hybrid_frame import HybridOptions
 
 FRAME, SHOT = "frame", "shot"
@@ -37,6 +37,7 @@ class Job:
     what that kept as long as it is worth something (hysteresis); else frames decide by themselves, and ranges can be split. shot: the frames that a set is for,
     where `frames` are a part of them; other processes may do other parts into the same folder. verify: how many crops to render full as well, to state
     the error that was measured (`verify`). enforce: where that breaks the budget, analyse again with a tighter one, and in the end keep everything.
+    device: where Cycles renders.
     """
 
     folder: Path
@@ -54,6 +55,7 @@ class Job:
     shot: tuple[int, ...] = ()
     verify: int = 0
     enforce: bool = False
+    device: DeviceChoice = AS_SET
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""

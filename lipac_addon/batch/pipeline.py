@@ -12,6 +12,7 @@ from ...core.progress import Progress, part, silent
 from .. import writeback
 from ..console import muted
 from .deciding import decide_layers
+from .engines.devices import find_device
 from .engines.wishes import left_out
 from .frame import run_frame
 from .job import SHOT, Cancel, Job, check, never
@@ -29,6 +30,8 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     finished = {frame for frame in reported or () if job.resume and job.is_finished(frame)}
     _sweep(job, keep_analyses=reported is not None and (job.resume or bool(job.shot)))
     report.note(report.approximated, left_out(bpy.context.scene, job.engine))
+    if job.engine == "cycles" and (note := find_device(bpy.context.scene, job.device).note):
+        report.note(report.warnings, [note])
     if reported is not None or not (job.folder / "report.json").exists():  # else what is there stays until there is something to say
         report.write(job.folder)
     with muted():

@@ -63,7 +63,7 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
             if job.engine in BLENDER_ENGINES:
                 show_frame(bpy.context.scene, frame)
                 entry |= {**written, "writeback_s": written["writeback_s"] / len(job.frames)}
-                entry["render_s"] = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, within)
+                entry |= render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, within, device=job.device).entry()
             elif job.engine:
                 _render_kept(session, frame, active, entry, within, cancelled)
             state = np.where(active, State.ACTIVE, State.CULLED).astype(np.uint8)

@@ -26,6 +26,7 @@ from .. import writeback
 from ..console import muted
 from ..pictures import read_picture
 from .engines.blender import render_blender
+from .engines.choices import AS_SET, DeviceChoice
 
 GRID = (4, 3)  # crops of a picture, across and up: each has 4 x 3 coarse tiles
 PATH_SAMPLES = 64  # of the path tracer, at most
@@ -73,13 +74,15 @@ def random_crops(count: int, seed: int) -> tuple[Crop, ...]:
     return tuple((int(cell % GRID[0]), int(cell // GRID[0])) for cell in sorted(cells))
 
 
-def verified_blender(engine: str, samples: int | None, seed: int, threads: int, count: int, progress: Progress = silent) -> Verified:
+def verified_blender(
+    engine: str, samples: int | None, seed: int, threads: int, count: int, progress: Progress = silent, device: DeviceChoice = AS_SET
+) -> Verified:
     """The change of so many crops of the open file's current frame, whose culling is applied and is not afterwards; options as of `render_blender`."""
     crops = random_crops(count, seed)
-    culled = _blender_crops(engine, samples, seed, threads, crops, part(progress, 0.0, 0.3, "culled, "))
+    culled = _blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.0, 0.3, "culled, "))
     with muted():
         writeback.restore()
-    return change(_blender_crops(engine, samples, seed, threads, crops, part(progress, 0.3, 1.0, "full, ")), culled, crops)
+    return change(_blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.3, 1.0, "full, ")), culled, crops)
 
 
 def verified_path(scene: Scene, active: NDArray[np.bool_], samples: int, seed: int, threads: int, count: int, cancelled: Callable[[], bool]) -> Verified:
@@ -88,7 +91,9 @@ def verified_path(scene: Scene, active: NDArray[np.bool_], samples: int, seed: i
     return change(*_path_crops(scene, active, samples, seed, threads, crops, cancelled), crops)
 
 
-def _blender_crops(engine: str, samples: int | None, seed: int, threads: int, crops: tuple[Crop, ...], progress: Progress = silent) -> list[F32]:
+def _blender_crops(
+    engine: str, samples: int | None, seed: int, threads: int, device: DeviceChoice, crops: tuple[Crop, ...], progress: Progress = silent
+) -> list[F32]:
     """Each crop of the open file's current frame, as it is now, by one of Blender's engines: (h, w, 4) float32. Options as of `render_blender`."""
     out = []
     with tempfile.TemporaryDirectory(prefix="lipac") as folder:
@@ -96,7 +101,7 @@ def _blender_crops(engine: str, samples: int | None, seed: int, threads: int, cr
             stem = Path(folder) / f"{x}{y}"
             border = (x / GRID[0], y / GRID[1], (x + 1) / GRID[0], (y + 1) / GRID[1])
             within = part(progress, k / len(crops), (k + 1) / len(crops))
-            render_blender(engine, stem, samples, seed, threads, within, border)
+            render_blender(engine, stem, samples, seed, threads, within, border, device)
             out.append(read_picture(stem.with_suffix(".exr")))
     return out
 

@@ -95,6 +95,9 @@ def test_render_from_a_shell(blend, tmp_path):
     assert frame["culled"] >= 34
     assert frame["writeback"]["removed"] == frame["culled"]
     assert frame["render_s"] > 0
+    assert frame["device"].startswith("CPU: ")
+    assert frame["device_bytes"] is None or frame["device_bytes"] > 0
+    assert frame["first_sample_s"] is None or 0 < frame["first_sample_s"] < frame["render_s"]
     with np.load(folder / "states" / "frame_0001.npz") as states:
         names = states["names"][states["key_object"]]
         culled = set(names[(states["state"] == 0) & (states["key_host"] < 0)])
@@ -196,6 +199,9 @@ BAD = [
     (["render", "BLEND", "-o", "out", "--max-error", "2"], "--max-error 2"),
     (["render", "BLEND", "-o", "out", "--camera", "x"], "no camera 'x'"),
     (["render", "BLEND", "-o", "out", "--engine", "x"], "invalid choice"),
+    (["render", "BLEND", "-o", "out", "--device", "gpu"], "'gpu' is no device: give one of auto, cpu"),
+    (["render", "BLEND", "-o", "out", "--device", "hip"], "--device hip: no HIP device that Cycles can use is here; there is CPU"),
+    (["render", "BLEND", "-o", "out", "--device", "cpu", "--engine", "path"], "--device chooses where Cycles renders; the path tracer is on the CPU"),
     (["demo", "x", "-o", "x.blend"], "no demo scene"),
     (["demo", "mirror-city", "-o", "x.txt"], ".blend"),
     (["foo"], "unknown command"),

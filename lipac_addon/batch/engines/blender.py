@@ -7,7 +7,8 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,27 @@ from ....core.progress import Progress, silent
 from ...console import muted
 from ...depsgraph import changed, rendered_layers
 from ...pictures import save_render_result, saved_as
-from .choices import BLENDER_ENGINES
+from .choices import AS_SET, BLENDER_ENGINES, DeviceChoice
+from .devices import eevee_device, on_device
 from .wishes import samples_of
 
 _SAMPLE = re.compile(r"(\d+)\s*/\s*(\d+)")
+_MEMORY = re.compile(r"(?:Mem|Peak):\s*(\d+(?:\.\d+)?)([KMG])")
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What a render took. seconds: of the render alone; device: what it ran on; first_sample_s: until Blender first told of a finished sample; device_bytes: of
+    the device's memory at most, by Cycles' own count, to a megabyte. None: Blender did not say."""
+
+    seconds: float
+    device: str
+    first_sample_s: float | None = None
+    device_bytes: int | None = None
+
+    def entry(self) -> dict[str, Any]:
+        """For a frame of report.json."""
+        return {"render_s": self.seconds, "device": self.device, "first_sample_s": self.first_sample_s, "device_bytes": self.device_bytes}
 
 
 def render_blender(
@@ -32,18 +50,20 @@ def render_blender(
     threads: int = 0,
     progress: Progress = silent,
     border: tuple[float, float, float, float] | None = None,
-) -> float:
-    """Render the current frame of the open file by 'cycles' (on the CPU) or 'eevee', save stem.exr and stem.png, and return the seconds of the render alone.
+    device: DeviceChoice = AS_SET,
+) -> Rendered:
+    """Render the current frame of the open file by 'cycles' or 'eevee', save stem.exr and stem.png, and return what that took.
 
     samples: per pixel, None as in the scene. seed: Cycles' noise; EEVEE has none. threads: 0 for all. border: left, bottom, right, top of the part of the
-    picture that is wanted, 0 to 1 (default: all). All else is as the scene says; its settings are put back.
-    Raises InputError where Blender cannot render. Ctrl-C during the render ends the process at once, for Blender cannot be asked to stop.
+    picture that is wanted, 0 to 1 (default: all). device: for Cycles. All else is as the scene says; its settings are put back.
+    Raises InputError where Blender cannot render, or not there. Ctrl-C during the render ends the process at once, for Blender cannot be asked to stop.
     """
     scene = bpy.context.scene
     if not rendered_layers(scene):
         raise InputError(f"scene {scene.name!r}: no view layer is used for rendering; switch one on")
-    with _render_settings(scene, engine, samples, seed, threads, border), _no_file_outputs(), _stats(progress):
-        start = time.perf_counter()
+    where = on_device(scene, device) if engine == "cycles" else nullcontext()
+    with _render_settings(scene, engine, samples, seed, threads, border), where as used, _no_file_outputs(), _stats(progress) as told:
+        start = told.start = time.perf_counter()
         try:
             with muted(), _ctrl_c_ends_the_process():
                 bpy.ops.render.render(scene=scene.name)
@@ -52,7 +72,7 @@ def render_blender(
         seconds = time.perf_counter() - start
     with muted():
         save_render_result(scene, stem)
-    return seconds
+    return Rendered(seconds, eevee_device() if used is None else str(used), told.first_sample_s, told.device_bytes)
 
 
 @contextmanager
@@ -73,7 +93,7 @@ def _render_settings(
             stack.enter_context(changed(scene.eevee, taa_render_samples=samples or samples_of(scene, engine)))
         else:
             sampling = {"samples": samples or samples_of(scene, engine), "seed": seed, "use_animated_seed": False}
-            stack.enter_context(changed(scene.cycles, device="CPU", **sampling))
+            stack.enter_context(changed(scene.cycles, **sampling))
         yield
 
 
@@ -87,19 +107,37 @@ def _no_file_outputs() -> Iterator[None]:
         yield
 
 
-@contextmanager
-def _stats(progress: Progress) -> Iterator[None]:
-    """Hand on what the engine says about its samples."""
+class _Told:
+    """What an engine says while it renders. start: when that began, by `perf_counter`."""
 
-    def note(text: Any, *_rest: object) -> None:
-        if isinstance(text, str) and (found := _SAMPLE.search(text.split("|")[-1])):
+    def __init__(self, progress: Progress) -> None:
+        self.progress = progress
+        self.start = 0.0
+        self.first_sample_s: float | None = None
+        self.device_bytes: int | None = None
+
+    def note(self, text: Any, *_rest: object) -> None:
+        """A handler of `render_stats`."""
+        if not isinstance(text, str):
+            return
+        for number, unit in _MEMORY.findall(text):
+            size = int(float(number) * 1024 ** " KMG".index(unit))
+            self.device_bytes = max(size, self.device_bytes or 0) or None
+        if found := _SAMPLE.search(text.split("|")[-1]):
             done, of = map(int, found.groups())
-            progress(done / max(of, 1), f"sample {done} of {of}")
+            if done and self.first_sample_s is None:
+                self.first_sample_s = time.perf_counter() - self.start
+            self.progress(done / max(of, 1), f"sample {done} of {of}")
 
-    handlers = bpy.app.handlers.render_stats
+
+@contextmanager
+def _stats(progress: Progress) -> Iterator[_Told]:
+    """Hand on what the engine says about its samples, and note it."""
+    told, handlers = _Told(progress), bpy.app.handlers.render_stats
+    note = told.note  # one object, to be found again
     handlers.append(note)
     try:
-        yield
+        yield told
     finally:
         handlers.remove(note)
 
