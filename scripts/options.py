@@ -74,6 +74,7 @@ def scene_parser(command: str, description: str) -> Parser:
     shot.add_argument("--shot", type=frame_range, metavar="A-B", help=part)
     shot.add_argument("--resume", action="store_true", help="leave frames alone that DIR has already, by the same options")
     shot.add_argument("--warm", action="store_true", help="begin each frame with what the one before it needed, and be slow to cull (hysteresis)")
+    shot.add_argument("--no-parts", action="store_true", help="light-paths: keep or cull meshes as a whole; else large ones are culled by parts")
     shot.add_argument("--no-mitigation", action="store_true", help="with --warm: do not activate what comes into view before light paths ask for it")
     shot.add_argument("--blas-budget", type=byte_count, metavar="SIZE", help="acceleration structures of meshes may take so much, for example 2G")
     general = parser.add_argument_group("general")
@@ -251,7 +252,13 @@ def cull_options(args: argparse.Namespace) -> CullOptions:
     given["max_error"] = Budget.parse(f"{DEFAULT_BUDGET.mean}" if args.max_error is None else args.max_error, spread)
     given["blas_budget_bytes"] = args.blas_budget
     said = {name: value for name, value in given.items() if value is not None}
-    return CullOptions(policy=args.cull, seed=args.seed, threads=args.threads, mitigation=not args.no_mitigation, **said)
+    return CullOptions(policy=args.cull, seed=args.seed, threads=args.threads, mitigation=not args.no_mitigation, parts=_by_parts(args), **said)
+
+
+def _by_parts(args: argparse.Namespace) -> bool:
+    """Whether large meshes are culled by parts: where Blender renders them, and frames decide by themselves."""
+    engine = getattr(args, "engine", "")
+    return not (args.no_parts or args.warm or engine in ("path", "hybrid") or (not engine and args.verify))
 
 
 def check(args: argparse.Namespace) -> None:

@@ -53,6 +53,12 @@ class Activation:
             self._carry(scene.instances.bounds, change.previous)
         self._pin(pinned)
 
+    def divide(self, scene: Scene) -> None:
+        """Go on with a scene of more instances behind the ones that there were, of which some exist no more."""
+        count = len(self.active)
+        self._carry(scene.instances.bounds, np.append(np.arange(count, dtype=np.int32), np.full(len(scene.instances) - count, -1, np.int32)))
+        self._pin(np.append(self.pinned, np.zeros(len(scene.instances) - count, bool)))
+
     def _pin(self, pinned: np.ndarray | None) -> None:
         self.pinned = np.zeros(len(self.active), bool) if pinned is None else pinned & self.exists
         self.active |= self.pinned

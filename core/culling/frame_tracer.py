@@ -46,6 +46,11 @@ class FrameTracer:
         with self.timer.step("build_s"):
             self.prepared = advanced(self.prepared, scene, change)
 
+    def divide(self, scene: Scene) -> None:
+        """Go on with more instances behind those that there were, none of which emits."""
+        self.scene = scene
+        self.prepared = self.prepared.divided(scene)
+
     def _enter(self, scene: Scene, cancelled: Callable[[], bool] | None) -> None:
         self.scene, self._cancelled = scene, cancelled or (lambda: False)
         self.timer = Timer()

@@ -27,11 +27,13 @@ from ..feedback.tiles import DARK, TILES, marks, tiles_of
 from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
-from ..scene.model import Scene
+from ..scene.model import InstanceFlag, Scene
 from .activation import SETTLED, Activation
+from .division import Division
 from .frame_tracer import FrameTracer, places
 from .measurement import Measurement, Traced, Witness
 from .options import CullOptions
+from .policies import LIGHT_PATHS
 from .result import Built, CullingResult, states, structure_figures
 from .twins import Twins
 
@@ -64,6 +66,7 @@ class Loop:
         self.blas = BlasCache(scene.meshes, self.device) if blas is None else blas
         self.residency = Residency(self.blas, options.blas_budget_ms / 1000, options.blas_budget_bytes, options.hysteresis)
         self.cold = True  # nothing is known yet of what paths need
+        self.division = self._division_of(scene)
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         self._twins = Twins()
         self.tracer = FrameTracer(scene, options, self.residency, cancelled)
@@ -105,6 +108,7 @@ class Loop:
         tlas = None
         while self.rounds < self.options.max_iterations:
             self.rounds += 1
+            self._divide()
             progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.activation.active.sum()):,} of {len(self.activation):,} instances active")
             self._schedule_builds(progress)
             tlas = self.tracer.build(self.activation.active)
@@ -127,6 +131,23 @@ class Loop:
                 break
         return self.measure(tlas, progress=part(progress, 0.5, 1.0))
 
+    def _division_of(self, scene: Scene) -> Division | None:
+        """What is divided where light paths decide, in as many rounds as they need; a raster's first hits lie on whole meshes."""
+        options = self.options
+        wanted = options.parts and options.policy == LIGHT_PATHS and options.max_iterations > 1 and not self.limited and not scene.first_hits
+        return Division(scene) if wanted and (scene.instances.flags & InstanceFlag.DIVISIBLE).any() else None
+
+    def _divide(self) -> None:
+        """Have the parts of large meshes in the place of what paths have asked for."""
+        if self.division is None:
+            return
+        with self.timer.step("build_s"):
+            if self.division.divide(self.activation.active & ~self.activation.pinned):
+                self.scene = self.division.scene
+                self.blas.advance(self.scene.meshes, *np.zeros((2, 0), np.int32))
+                self.activation.divide(self.scene)
+                self.tracer.divide(self.scene)
+
     def _schedule_builds(self, progress: Progress = silent) -> None:
         """Within a budget: have the BLASes of active instances built, the most valuable first. A time budget is spent once per frame."""
         if not self.limited or (self.residency.deferred and self.rounds > 1):
@@ -147,7 +168,9 @@ class Loop:
 
         Emitters that are not built give no light: it would come through walls that are not built either.
         """
-        tlas = self.tracer.build(self.activation.active, progress) if tlas is None else tlas
+        if tlas is None:
+            self._divide()
+            tlas = self.tracer.build(self.activation.active, progress)
         built = np.zeros(len(self.activation), bool)
         built[tlas.ids] = True
         weights, log = Weights.zeros(len(tlas), self.ambient), PathLog.zeros(self.size[1], self.size[0], samples or self.first_samples)
@@ -231,7 +254,9 @@ class Loop:
             state = states(keep, self.residency, self.scene.instances.mesh, self.activation.active)
         stats = structure_figures(state, self.scene.instances.mesh[tlas.ids], self.blas, tlas.bytes + boxes.bytes) | self.timer.seconds
         stats |= {"paths": self.tracer.paths, "rays": self.tracer.rays, "iterations": self.rounds, "hitboxes": len(boxes), **figures}
-        return CullingResult(state, score, hits, cut.bounds, stats, warnings, Built(self.blas, tlas, self.tracer.prepared))
+        built = Built(self.blas, tlas, self.tracer.prepared)
+        result = CullingResult(state, score, hits, cut.bounds, stats, warnings, built=built)
+        return result if self.division is None else self.division.joined(result)
 
 
 def _mean_luminance(picture: F32) -> float:

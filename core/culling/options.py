@@ -41,6 +41,8 @@ class CullOptions:
     hitbox_every: on one path in so many. settled: segments per path that may still ask for a box when the rounds of a frame end, 0: none;
     max_iterations: rounds of a frame at most.
 
+    parts: large meshes are culled by parts, where an instance's flags let them.
+
     Over the frames of a shot: hysteresis: how many times less than what is newly kept an instance must be worth to be culled again, 1 for none; mitigation:
     large instances that come into view are active at once. blas_budget_ms: milliseconds of BLAS building per frame, the rest is done in later frames;
     blas_budget_bytes: of all BLASes together; 0: no limit, as a final render wants it.
@@ -55,6 +57,7 @@ class CullOptions:
     hitbox_every: int = 1
     settled: float = 0.02
     max_iterations: int = 64
+    parts: bool = False
     hysteresis: float = 2.0
     mitigation: bool = True
     blas_budget_ms: float = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -34,7 +34,8 @@ class CullingResult:
     """What a frame's culling decided.
 
     state: (N,) uint8 of `State`; score: (N,) float32 share of paths that met the instance; hits: (N, RAY_TYPES) int64 paths that met it, by type.
-    boxes: (H, 2, 3) float32 world boxes that stand in for what is culled. stats: the frame's figures, named as in report.json.
+    boxes: (H, 2, 3) float32 world boxes that stand in for what is culled. faces: by row of an active instance whose mesh was divided, (F,)
+    bool, those of its faces that stay. stats: the frame's figures, named as in report.json.
     warnings: what could not be kept to. built: for a renderer of this frame; None where nothing was.
     """
 
@@ -44,6 +45,7 @@ class CullingResult:
     boxes: F32
     stats: dict[str, float | int]
     warnings: tuple[str, ...] = ()
+    faces: Mapping[int, np.ndarray] = field(default_factory=dict)
     built: Built | None = field(default=None, repr=False, compare=False)
 
     @property
@@ -73,6 +75,7 @@ def structure_figures(state: U8, mesh: I32, blas: BlasCache, tlas_bytes: int) ->
         "meshes": len(meshes),
         "blas_built": blas.work.built,
         "blas_refitted": blas.work.refitted,
+        "triangles": int(blas.table["triangle_count"][meshes].sum()),
         "blas_bytes": int(blas.bytes_of[meshes].sum()),
         "blas_held_bytes": blas.bytes,
         "tlas_bytes": tlas_bytes,

@@ -11,7 +11,7 @@ import json
 import os
 import time
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -210,7 +210,8 @@ class Report:
 
 @dataclass(frozen=True)
 class States:
-    """The states of a frame's instances, as `save_states` writes them. keys: kind (N,), host (N,), object (N,) and path (N, depth) by name."""
+    """The states of a frame's instances, as `save_states` writes them. keys: kind (N,), host (N,), object (N,) and path (N, depth) by name. faces: by name of
+    an object, (F,) bool, those of its mesh that stay; of others that stay all do."""
 
     state: U8
     score: F32
@@ -218,16 +219,27 @@ class States:
     keys: dict[str, np.ndarray]
     names: tuple[str, ...]
     note: str = ""
+    faces: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
-def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, names: Sequence[str], note: str = "", boxes: F64 | None = None) -> None:
+def save_states(
+    path: Path,
+    state: U8,
+    score: F32,
+    hits: I64,
+    keys: Records,
+    names: Sequence[str],
+    note: str = "",
+    boxes: F64 | None = None,
+    faces: Mapping[str, np.ndarray] | None = None,
+) -> None:
     """Write the states of a frame (states/frame_0001.npz).
 
     state (N,), score (N,), hits (N, RAY_TYPES), as in `core.culling.result.CullingResult`; key_kind, key_host, key_object (N,) and key_path (N, depth) are the
     fields of `lipac_addon.keys.KEY`, the path without the columns that no instance uses; names: strings that host and object index, those that are used,
     sorted, so that a frame's file is the same whatever other frames were looked at. Integers have the smallest type that holds them. note: a text to keep
     with it.
-    boxes: (H, 2, 3) world boxes that stand in for what is culled.
+    boxes: (H, 2, 3) world boxes that stand in for what is culled. faces: as in `States`; in the file face_names (K,), face_counts (K,) and face_bits, packed.
     Not compressed: at a million instances that would take longer than the analysis.
     """
     depth = int((keys["path"] >= 0).any(axis=0).sum()) if len(keys) else 0
@@ -244,6 +256,10 @@ def save_states(path: Path, state: U8, score: F32, hits: I64, keys: Records, nam
     }
     if boxes is not None:
         arrays["boxes"] = boxes
+    if faces:
+        arrays["face_names"] = np.array(list(faces), dtype=np.str_)
+        arrays["face_counts"] = np.array([len(mask) for mask in faces.values()])
+        arrays["face_bits"] = np.packbits(np.concatenate(list(faces.values())))
     if note:
         arrays["note"] = np.array(note)
     archive = io.BytesIO()  # in memory first: a ZipFile that cannot write to a full disk complains again where it is freed, on Python 3.11
@@ -257,7 +273,12 @@ def load_states(path: Path) -> States:
     with np.load(path) as data:
         keys = {name: data[f"key_{name}"] for name in ("kind", "host", "object", "path")}
         note = str(data["note"]) if "note" in data.files else ""
-        return States(data["state"], data["score"], data["hits"], keys, tuple(data["names"].tolist()), note)
+        faces = {}
+        if "face_names" in data.files:
+            ends = np.cumsum(data["face_counts"])
+            masks = np.split(np.unpackbits(data["face_bits"], count=int(ends[-1])).astype(bool), ends[:-1])
+            faces = dict(zip(data["face_names"].tolist(), masks, strict=True))
+        return States(data["state"], data["score"], data["hits"], keys, tuple(data["names"].tolist()), note, faces)
 
 
 def _renamed(host: I32, ob: I32, names: Sequence[str]) -> tuple[I32, I32, list[str]]:

@@ -9,7 +9,9 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import F32, U32, Records
+from ..arrays import F32, I32, U32, Records
+
+DIVIDED_FROM = 2048  # triangles of a mesh that is worth dividing into parts
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,7 @@ class Mesh:
     normals: (T, 3, 3) float32 shading normal per corner, or None: flat.
     uvs: (K, T, 3, 2) float32 for the K maps of `Scene.uv_maps`, or None: no map is needed.
     slots: (T,) uint16 material slot per triangle, or None: slot 0 throughout.
+    faces: (T,) int32 face, of any number of corners, that each triangle is a part of, or None: each is a face.
     """
 
     positions: F32
@@ -27,6 +30,7 @@ class Mesh:
     normals: F32 | None = None
     uvs: F32 | None = None
     slots: NDArray[np.uint16] | None = None
+    faces: I32 | None = None
 
 
 MESH = np.dtype(

@@ -89,6 +89,7 @@ class InstanceFlag(IntFlag):
 
     HOLDOUT = 1 << 5
     SHADOW_CATCHER = 1 << 6
+    DIVISIBLE = 1 << 7  # faces of its mesh may be culled by themselves
 
 
 NO_TEXTURE = -1

@@ -60,6 +60,11 @@ class Prepared:
         scene = dataclasses.replace(self.scene, instances=instances)
         return dataclasses.replace(self, scene=scene, table=SceneTable(scene))
 
+    def divided(self, scene: Scene) -> Prepared:
+        """The same lights where the scene has more instances behind those that it had, none of which emits."""
+        lights = self.lights.with_more_instances(len(scene.instances) - len(self.scene.instances))
+        return dataclasses.replace(self, scene=scene, table=SceneTable(scene), lights=lights)
+
     def with_emitters(self, active: NDArray[np.bool_]) -> Prepared:
         """The same scene where only those emissive instances light it that are active, (N,) bool: what is left when the others are removed."""
         kept = emissive_instances(self.scene)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays"
 @dataclass(frozen=True)
 class Decided:
     """What was decided on a frame, for all its view layers. state (N,), score (N,), hits (N, RAY_TYPES), boxes (H, 2, 3): as of `CullingResult`, boxes in the
-    world; records, names: its keys; entry: for the report."""
+    world; records, names: its keys; entry: for the report; faces: as of `States`."""
 
     state: U8
     score: F32
@@ -42,6 +42,7 @@ class Decided:
     entry: dict[str, Any]
     approximated: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    faces: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def keys(self) -> Keys:
@@ -50,12 +51,13 @@ class Decided:
 
     def save(self, path: Path, note: str = "") -> None:
         """As a file of states."""
-        save_states(path, self.state, self.score, self.hits, self.records, self.names, note, self.boxes)
+        save_states(path, self.state, self.score, self.hits, self.records, self.names, note, self.boxes, self.faces)
 
     @property
     def states(self) -> States:
         """As they would be read again."""
-        return States(self.state, self.score, self.hits, {name: self.records[name] for name in ("kind", "host", "object", "path")}, self.names)
+        keys = {name: self.records[name] for name in ("kind", "host", "object", "path")}
+        return States(self.state, self.score, self.hits, keys, self.names, "", self.faces)
 
 
 def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, Any]) -> Decided:
@@ -63,7 +65,8 @@ def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, A
     scene, keys = extraction.scene, extraction.keys
     boxes = result.boxes + scene.origin
     lines = scene.approximated, (*extraction.warnings, *result.warnings)
-    return Decided(result.state, result.score, result.hits, boxes, keys.records, keys.names, entry | result.stats, *lines)
+    faces = {keys.names[keys.records["object"][row]]: mask for row, mask in result.faces.items()}
+    return Decided(result.state, result.score, result.hits, boxes, keys.records, keys.names, entry | result.stats, *lines, faces)
 
 
 def decide_layers(sessions: Sequence[Session], frame: int, last: bool, progress: Progress = silent, cancelled: Cancel = never) -> Decided:
@@ -118,4 +121,5 @@ def _united(parts: Sequence[Decided]) -> Decided:
     counts = np.bincount(state, minlength=len(State)).tolist()
     entry |= {"instances": n, "active": counts[State.ACTIVE], "pending": counts[State.PENDING], "culled": counts[State.CULLED], "view_layers": len(parts)}
     lines = [tuple(dict.fromkeys(line for one in parts for line in getattr(one, name))) for name in ("approximated", "warnings")]
-    return Decided(state, score, hits, np.concatenate([one.boxes for one in parts]), together.keys.records, together.keys.names, entry, *lines)
+    boxes, keys = np.concatenate([one.boxes for one in parts]), together.keys
+    return Decided(state, score, hits, boxes, keys.records, keys.names, entry, lines[0], lines[1], together.faces)

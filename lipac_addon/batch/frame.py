@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -80,7 +80,7 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
         decided.save(job.states(frame))
         entry, warnings = decided.entry, decided.warnings
         if job.engine:
-            warnings = (*warnings, *write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry))
+            warnings = (*warnings, *write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry, decided.faces))
             approximated = decided.approximated
             del decided
             for session in sessions if last else ():
@@ -151,14 +151,15 @@ def _render_whole(job: Job, frame: int, progress: Progress) -> dict[str, Any]:
     return {"frame": frame, "sync_s": counted.seconds, **rendered.entry(), "render_s": rendered.seconds - counted.seconds, **counts}
 
 
-def write_back(culled: np.ndarray, keys: Keys, entry: dict[str, Any], lasting: bool = False) -> list[str]:
+def write_back(culled: np.ndarray, keys: Keys, entry: dict[str, Any], faces: Mapping[str, np.ndarray], lasting: bool = False) -> list[str]:
     """Take culled (N,) bool out of renders of the open file; what that came to goes into the frame's entry, what could not be is said in the lines returned.
 
-    lasting: the file is to be saved so.
+    faces: as of `States`. lasting: the file is to be saved so.
     """
     start = time.perf_counter()
     with muted():
-        applied = writeback.apply(culled, keys, lasting=lasting)
+        applied = writeback.apply(culled, keys, lasting=lasting, faces=faces)
     entry["writeback_s"] = time.perf_counter() - start
     entry["writeback"] = applied.summary()
-    return [f"{count:,} culled instances stay in the render: {why}" for why, count in applied.kept.items()]
+    whole = [f"{count:,} objects keep all faces in the render: {why}" for why, count in applied.whole.items()]
+    return [f"{count:,} culled instances stay in the render: {why}" for why, count in applied.kept.items()] + whole

@@ -47,7 +47,7 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
         shot.add(needed(frame))
     if job.save is not None or job.engine in BLENDER_ENGINES:
         written: dict[str, Any] = {}
-        report.note(report.warnings, write_back(~shot.active, shot.keys, written, lasting=job.save is not None))
+        report.note(report.warnings, write_back(~shot.active, shot.keys, written, shot.faces, lasting=job.save is not None))
     if job.save is not None:
         save_baked(job.save)
     with Session(job) as session:
@@ -67,7 +67,7 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
             elif job.engine:
                 _render_kept(session, frame, active, entry, within, cancelled)
             state = np.where(active, State.ACTIVE, State.CULLED).astype(np.uint8)
-            save_states(job.states(frame), state, states.score, states.hits, shot.records_of(states), shot.keys.names)
+            save_states(job.states(frame), state, states.score, states.hits, shot.records_of(states), shot.keys.names, faces=shot.faces)
             report.add_frame(entry)
             report.write(job.folder)
 

@@ -8,19 +8,22 @@ from numpy.typing import NDArray
 from ...core.arrays import Records
 from ...core.culling.options import State
 from ...core.files.report import States
-from ..keys import KEY, Keys, packed
+from ..keys import KEY, Keys, Kind, packed
 
 
 class ShotSet:
     """The instances of all frames that were added, found again from frame to frame by their keys.
 
-    active: (N,) bool, those that were kept in one of the frames; `keys` belong to it.
+    active: (N,) bool, those that were kept in one of the frames; `keys` belong to it. faces: by name of an object that no frame keeps as a whole, (F,) bool,
+    faces that one of them keeps.
     """
 
     def __init__(self) -> None:
         self.active: NDArray[np.bool_] = np.zeros(0, bool)
         self._records: Records = np.zeros(0, KEY)
         self._names: dict[str, int] = {}
+        self.faces: dict[str, NDArray[np.bool_]] = {}
+        self._whole: set[str] = set()  # objects that a frame keeps with all faces
 
     @property
     def keys(self) -> Keys:
@@ -36,6 +39,18 @@ class ShotSet:
         if not known.all():
             self._records = np.concatenate([self._records, records[~known]])
             self.active = np.concatenate([self.active, kept[~known]])
+        self._add_faces(states, kept)
+
+    def _add_faces(self, states: States, kept: NDArray[np.bool_]) -> None:
+        """Take in which faces of its objects a frame keeps; where these have other faces than before, all."""
+        shown = np.unique(states.keys["object"][kept & (states.keys["kind"] == Kind.OBJECT)])
+        self._whole.update({states.names[n] for n in shown.tolist() if n >= 0} - states.faces.keys())
+        for name, mask in states.faces.items():
+            if len(self.faces.get(name, mask)) != len(mask):
+                self._whole.add(name)
+            self.faces[name] = mask if name not in self.faces or name in self._whole else self.faces[name] | mask
+        for name in self._whole & self.faces.keys():
+            del self.faces[name]
 
     def of(self, states: States) -> NDArray[np.bool_]:
         """Which of a frame's instances, (n,) bool, are active. Raises ValueError where the frame was not added."""

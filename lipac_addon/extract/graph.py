@@ -19,7 +19,7 @@ from ...core.errors import InputError
 from ...core.scene.model import InstanceFlag, RayType
 from ..keys import Kind
 from .geometry.geometry_sets import Geometry, GeometryReader
-from .graph_items import Members, Node, full_name, legacy_instancing, matrix, ray_visibility, render_objects, visible_members
+from .graph_items import Members, Node, full_name, is_divisible, legacy_instancing, matrix, ray_visibility, render_objects, visible_members
 from .lights import read_lamp
 
 GEOMETRY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL"}
@@ -151,6 +151,8 @@ class GraphReader:
             node.alone = item.type != "MESH"
         node.alone |= item.type == "META"
         parent = item.parent
+        if node.kind == Kind.OBJECT and not node.marks and node.geometry is not None and node.geometry.mesh >= 0 and is_divisible(item):
+            node.marks |= int(InstanceFlag.DIVISIBLE)
         node.replaced = parent is not None and parent.instance_type in {"VERTS", "FACES"}
         node.unsupported = tuple(lines)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...core.arrays import F64
+from ...core.scene.mesh import DIVIDED_FROM
 from ..keys import Kind
 from .geometry.geometry_sets import Geometry
 from .lights import LampData
@@ -90,6 +91,15 @@ def legacy_instancing(item: Any, lines: dict[str, None]) -> Kind | None:
         elif settings.render_type == "PATH" and settings.type == "HAIR":
             lines.setdefault(f"object {item.name}: hair strands not rendered")
     return Kind.DUPLI if kind is None and item.instance_type in {"VERTS", "FACES"} else kind
+
+
+def is_divisible(item: Any) -> bool:
+    """Whether faces of an object that instances nothing may be culled by themselves: those of a large mesh, which nothing grows from in a render."""
+    if item.type != "MESH" or len(item.particle_systems):
+        return False
+    diced = any(m.type == "SUBSURF" and getattr(m, "use_adaptive_subdivision", False) for m in item.modifiers)
+    diced |= bool(getattr(getattr(item, "cycles", None), "use_adaptive_subdivision", False))
+    return not diced and 2 * len(item.data.polygons) >= DIVIDED_FROM
 
 
 def visible_members(collection: Any) -> Iterator[Any]:

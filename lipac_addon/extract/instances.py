@@ -139,7 +139,7 @@ class Placer:
     def _instancer(self, key: tuple[str, str], hosts: list[Node]) -> None:
         """What objects instance: one that does by nodes, or several that instance the same collection."""
         if self._begin(key, hosts):
-            self._instances_of([(n, Placements(n.world[None], int(n.kind), n.name, n.visible, n.marks)) for n in hosts], (), 0)
+            self._instances_of([(n, Placements(n.world[None], int(n.kind), n.name, n.visible, n.marks & ~int(InstanceFlag.DIVISIBLE))) for n in hosts], (), 0)
             self.block.count = self._output.count - self.block.first
 
     # Placing

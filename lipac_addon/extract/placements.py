@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import F32, F64, I32, U8, Records
-from ...core.scene.model import Camera, Instances, RayType
+from ...core.scene.model import Camera, InstanceFlag, Instances, RayType
 from ...core.scene.placing import finish, local_origin, shifted
 from ..keys import KEY
 from .geometry.mesh_table import MeshTable
@@ -174,6 +174,10 @@ class Output:
             flags = np.asarray(flags, np.uint8)
         seen = (flags & VISIBLE) != 0
         source, count = self._meshes.source(mesh), len(at)
+        if source.relief is None and not source.broken:
+            source.divisible |= bool(np.any(np.asarray(flags) & int(InstanceFlag.DIVISIBLE)))
+        else:
+            flags = flags & (255 - int(InstanceFlag.DIVISIBLE))
         self.reserve(count)
         rows = self.rows[self.count : self.count + count]
         good = np.empty(count, np.bool_)

@@ -4,14 +4,16 @@
 
 - `hide_render` of an object, where that takes away culled instances only;
 - a mask modifier on geometry-nodes hosts, which removes single instances;
-- the render switch of particle systems, as a whole.
+- the render switch of particle systems, as a whole;
+- a face modifier on objects of which parts are culled.
 
-Read in the order of use: `references` (who instances whom), `plan` (which means for which instance), `marks` (the record kept in the .blend), `mask` (the
-modifier). Nothing here affects the viewport, and nothing is written to disk.
+Read in the order of use: `references` (who instances whom), `plan` (which means for which instance), `marks` (the record kept in the .blend), `mask` and
+`faces` (the modifiers). Nothing here affects the viewport, and nothing is written to disk.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import bpy
@@ -20,8 +22,9 @@ from numpy.typing import NDArray
 
 from ...core.arrays import F32
 from ..keys import Keys
+from . import faces as face_mask
 from . import marks, mask
-from .plan import Plan, full_name, make_plan
+from .plan import EMPTY, Plan, full_name, make_plan
 
 __all__ = ["WritebackResult", "apply", "restore"]
 
@@ -33,6 +36,7 @@ class WritebackResult:
     removed: (N,) bool, the culled instances that a render no longer meets.
     kept: culled instances that could not be removed, counted by the reason.
     objects, hosts, particle_hosts: numbers of hidden objects, of masked geometry-nodes hosts, of emitters switched off.
+    face_hosts, faces_removed: numbers of objects that lost faces, and of these; whole: objects that should have, counted by the reason.
     """
 
     removed: NDArray[np.bool_]
@@ -40,6 +44,9 @@ class WritebackResult:
     objects: int
     hosts: int
     particle_hosts: int
+    face_hosts: int
+    faces_removed: int
+    whole: dict[str, int]
 
     def summary(self) -> dict[str, object]:
         """For the report: plain numbers."""
@@ -49,6 +56,9 @@ class WritebackResult:
             "hidden_objects": self.objects,
             "masked_hosts": self.hosts,
             "particle_hosts": self.particle_hosts,
+            "face_hosts": self.face_hosts,
+            "faces_removed": self.faces_removed,
+            "whole": dict(self.whole),
         }
 
 
@@ -60,6 +70,7 @@ def apply(
     scene: bpy.types.Scene | None = None,
     lasting: bool = False,
     in_render: bool = False,
+    faces: Mapping[str, NDArray[np.bool_]] = EMPTY,
 ) -> WritebackResult:
     """Remove culled instances from renders of the open file.
 
@@ -68,19 +79,22 @@ def apply(
     instance of its number is there: what an edit numbers anew is not taken for others. Not for objects that move their instances over the frames.
     scene: the one that was analysed, None: the open one. lasting: it is to be saved, or undone, neither of which Blender does for directly linked objects: they
     stay. in_render: a handler of a render calls.
+    faces: by the full name of an object, (F,) bool, those faces of its mesh that stay, behind all its modifiers; of other objects all do.
     What an earlier call did is taken back first, so calling twice is as calling once. All or nothing: where something fails, what was done is taken back.
     Raises ValueError where the lengths differ.
     """
     if len(culled) != len(keys.records):
         raise ValueError(f"{len(culled)} states for {len(keys.records)} instances")
     restore(in_render)
-    plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render)
+    plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render, faces)
     try:
         _write(plan, places or {}, in_render)
     except BaseException:
         restore(in_render)
         raise
-    return WritebackResult(plan.removed, plan.kept, len(plan.objects), len(plan.masks), len({e.name_full for e, _ in plan.particle_modifiers}))
+    emitters = len({e.name_full for e, _ in plan.particle_modifiers})
+    cut = len(plan.faces), sum(int(np.count_nonzero(gone)) for _, gone in plan.faces)
+    return WritebackResult(plan.removed, plan.kept, len(plan.objects), len(plan.masks), emitters, *cut, plan.whole)
 
 
 def restore(in_render: bool = False) -> bool:
@@ -95,9 +109,11 @@ def restore(in_render: bool = False) -> bool:
 def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:
     """Marks first: whatever fails afterwards can be found and taken back."""
     hidden, off = ((ob, marks.HIDDEN) for ob in plan.objects), ((ob, marks.particles(ob.modifiers[name])) for ob, name in plan.particle_modifiers)
-    marks.write([*hidden, *off, *((host, marks.MASKED) for host, _ in plan.masks)])
+    marks.write([*hidden, *off, *((host, marks.MASKED) for host, _ in (*plan.masks, *plan.faces))])
     marks.set_hidden(list(plan.objects), True, in_render)
     for emitter, modifier in plan.particle_modifiers:
         emitter.modifiers[modifier].show_render = False
     for host, rows in plan.masks:
         mask.add(host, rows, places.get(full_name(host)))
+    for ob, gone in plan.faces:
+        face_mask.add(ob, gone)

@@ -20,6 +20,7 @@ from . import marks
 NAME = "LiPaC mask"
 ATTRIBUTE = "culled"
 REACH = 1e-5  # metres within which an instance is where it was: evaluating a scatter again gives the same numbers
+INSTANCES = "Anywhere"  # input of the group that masks instances, and of no other
 _MASK = "mask"  # the mark of mask objects, meshes and the node group
 
 
@@ -28,9 +29,14 @@ def add(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32 | None = No
 
     places: (at least R, 3) where they are, in the host's space: those that are elsewhere stay. None: wherever they are.
     """
-    group = next((g for g in bpy.data.node_groups if _is_ours(g)), None) or _new_group()
+    group = next((g for g in bpy.data.node_groups if is_ours(g) and INSTANCES in _inputs(g)), None) or _new_group()
+    append(host, group, NAME, {"Mask": mask_object(rows, places), INSTANCES: places is None})
+
+
+def append(host: bpy.types.Object, group: bpy.types.NodeTree, name: str, inputs: dict[str, bpy.types.ID | bool]) -> None:
+    """Append a modifier of a node group to an object, for renders alone. inputs: by name."""
     active = host.modifiers.active
-    modifier = host.modifiers.new(NAME, "NODES")
+    modifier = host.modifiers.new(name, "NODES")
     modifier.show_viewport = False
     modifier.show_expanded = False
     modifier.node_group = group
@@ -39,21 +45,21 @@ def add(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32 | None = No
         modifier.use_pin_to_last = True
         host.modifiers.move(host.modifiers.find(modifier.name), last)
     sockets = {s.name: s.identifier for s in group.interface.items_tree if s.in_out == "INPUT"}
-    _set_input(modifier, sockets["Mask"], _mask_object(rows, places))
-    _set_input(modifier, sockets["Anywhere"], places is None)
+    for key, value in inputs.items():
+        _set_input(modifier, sockets[key], value)
     if active is not None:
         host.modifiers.active = active
 
 
 def remove_all() -> bool:
     """Remove every mask modifier and all data-blocks made for them; True where there was one."""
-    groups = {g for g in bpy.data.node_groups if _is_ours(g)}
+    groups = {g for g in bpy.data.node_groups if is_ours(g)}
     masked = {ob for ob, words in marks.all_marks().items() if marks.MASKED in words}
     for ob in bpy.data.objects if groups else masked:
         if ob.is_editable:
             for modifier in [m for m in ob.modifiers if m.type == "NODES" and (m.node_group in groups or (ob in masked and _is_emptied(m)))]:
                 ob.modifiers.remove(modifier)
-    blocks = [*groups, *(b for kind in (bpy.data.objects, bpy.data.meshes) for b in kind if _is_ours(b))]
+    blocks = [*groups, *(b for kind in (bpy.data.objects, bpy.data.meshes) for b in kind if is_ours(b))]
     if blocks:
         bpy.data.batch_remove(blocks)
     return bool(blocks)
@@ -64,13 +70,12 @@ def _is_emptied(modifier: bpy.types.Modifier) -> bool:
     return modifier.node_group is None and modifier.name.startswith(NAME)
 
 
-def _is_ours(block: bpy.types.ID) -> bool:
+def is_ours(block: bpy.types.ID) -> bool:
     """Whether a data-block bears our mark, and is what we make: anyone can copy a mark."""
     if block.get(marks.KEY) != _MASK or block.library is not None:
         return False
     if isinstance(block, bpy.types.NodeTree):
-        inputs = [s.name for s in block.interface.items_tree if s.item_type == "SOCKET" and s.in_out == "INPUT"]
-        return block.bl_idname == "GeometryNodeTree" and inputs == ["Geometry", "Mask", "Anywhere"]
+        return block.bl_idname == "GeometryNodeTree" and _inputs(block) in (["Geometry", "Mask"], ["Geometry", "Mask", INSTANCES])
     mesh = block.data if isinstance(block, bpy.types.Object) else block
     if not isinstance(mesh, bpy.types.Mesh) or (isinstance(block, bpy.types.Object) and block.users_collection):
         return False
@@ -78,7 +83,11 @@ def _is_ours(block: bpy.types.ID) -> bool:
     return not mesh.edges and attribute is not None and attribute.domain == "POINT" and attribute.data_type == "BOOLEAN"
 
 
-def _mask_object(rows: NDArray[np.bool_], places: F32 | None) -> bpy.types.Object:
+def _inputs(group: bpy.types.NodeTree) -> list[str]:
+    return [s.name for s in group.interface.items_tree if s.item_type == "SOCKET" and s.in_out == "INPUT"]
+
+
+def mask_object(rows: NDArray[np.bool_], places: F32 | None) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(NAME)
     mesh.vertices.add(len(rows))
     if places is not None:
@@ -97,22 +106,28 @@ def _set_input(modifier: bpy.types.Modifier, socket: str, value: bpy.types.ID | 
         modifier[socket] = value
 
 
-def _new_group() -> bpy.types.NodeTree:
-    """The node group: inputs Geometry, Mask (object) and Anywhere, output Geometry."""
-    group = bpy.data.node_groups.new(NAME, "GeometryNodeTree")
+def new_group(name: str, inputs: tuple[tuple[str, str], ...]) -> bpy.types.NodeTree:
+    """A node group that bears our mark, with inputs Geometry and others by name and type, and the output Geometry."""
+    group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     group[marks.KEY] = _MASK
     group.is_modifier = True
-    inputs_and_outputs = (("Geometry", "INPUT", "Geometry"), ("Mask", "INPUT", "Object"), ("Anywhere", "INPUT", "Bool"), ("Geometry", "OUTPUT", "Geometry"))
-    for name, way, kind in inputs_and_outputs:
-        group.interface.new_socket(name, in_out=way, socket_type="NodeSocket" + kind)
-    nodes = _Nodes(group)
+    for way, sockets in (("INPUT", (("Geometry", "Geometry"), *inputs)), ("OUTPUT", (("Geometry", "Geometry"),))):
+        for socket, kind in sockets:
+            group.interface.new_socket(socket, in_out=way, socket_type="NodeSocket" + kind)
+    return group
+
+
+def _new_group() -> bpy.types.NodeTree:
+    """The node group: inputs Geometry, Mask (object) and Anywhere, output Geometry."""
+    group = new_group(NAME, (("Mask", "Object"), (INSTANCES, "Bool")))
+    nodes = Nodes(group)
     inputs, output = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
-    goes = _goes(nodes, inputs.outputs["Mask"], inputs.outputs["Anywhere"])
+    goes = _goes(nodes, inputs.outputs["Mask"], inputs.outputs[INSTANCES])
     nodes.link(_delete(nodes, inputs.outputs["Geometry"], goes), output.inputs["Geometry"])
     return group
 
 
-class _Nodes:
+class Nodes:
     """A node group that is being made."""
 
     def __init__(self, group: bpy.types.NodeTree) -> None:
@@ -147,7 +162,7 @@ class _Nodes:
         self.group.links.new(source, target)
 
 
-def _goes(nodes: _Nodes, mask: bpy.types.NodeSocket, anywhere: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+def _goes(nodes: Nodes, mask: bpy.types.NodeSocket, anywhere: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
     """The field of instances to delete: those that the mask names, and that are where it says, or anywhere."""
     points = nodes.new("GeometryNodeObjectInfo", {"Object": mask}).outputs["Geometry"]
     index, position = nodes.field("GeometryNodeInputIndex"), nodes.field("GeometryNodeInputPosition")
@@ -160,7 +175,7 @@ def _goes(nodes: _Nodes, mask: bpy.types.NodeSocket, anywhere: bpy.types.NodeSoc
     return nodes.both("AND", culled, nodes.both("OR", there, anywhere))
 
 
-def _delete(nodes: _Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+def _delete(nodes: Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
     """The geometry without the instances `goes`, the others numbered as before.
 
     Blender's number of an instance, from which Object Info > Random and motion blur go, is its id, or its place among all where there are none. Of instances
@@ -177,7 +192,7 @@ def _delete(nodes: _Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeS
     return nodes.field("GeometryNodeSwitch", {"Switch": some, "False": deleted, "True": emptied}, input_type="GEOMETRY")
 
 
-def _emptied(nodes: _Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket, empties: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+def _emptied(nodes: Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket, empties: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
     """The geometry without the instances `goes`, and with instances of nothing in place of `empties`, in the same order."""
     capture = nodes.new("GeometryNodeCaptureAttribute", domain="INSTANCE")
     for kind, name in (("INT", "Row"), ("BOOLEAN", "Empty")):

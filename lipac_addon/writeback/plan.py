@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import bpy
 import numpy as np
@@ -15,6 +16,7 @@ from ..keys import Keys, Kind
 from .references import References, instances_others, is_animated, scenes_in_picture, simulates, takes_modifiers
 
 Mask = NDArray[np.bool_]
+EMPTY: Mapping[str, Mask] = MappingProxyType({})
 
 # Why a culled instance stays; the words of the report and of docs/write-back.md
 MISSING = "its object is gone"
@@ -34,6 +36,7 @@ NESTED = "other parts of the same nested instance stay"
 PART = "part of a collection instance: the same part stays elsewhere"
 READS_IDS = "a material reads the ids of instances, which the mask stores"
 PARTICLE = "single particles cannot be removed"
+SHAPES = "something else is made from its faces"
 DUPLI = "single vertex and face duplicates cannot be removed"
 
 _BY_KIND = {Kind.OBJECT: SHARED, Kind.COLLECTION: PART, Kind.GEOMETRY_NODES: NESTED, Kind.PARTICLE: PARTICLE, Kind.DUPLI: DUPLI}
@@ -43,21 +46,24 @@ _BY_KIND = {Kind.OBJECT: SHARED, Kind.COLLECTION: PART, Kind.GEOMETRY_NODES: NES
 class Plan:
     """objects: to hide; masks: hosts and (R,) bool rows to delete; particle_modifiers: emitters and modifier names to switch off.
 
-    removed: (N,) bool, the instances that go; kept: culled ones that stay, by reason.
+    faces: objects and (F,) bool faces to delete. removed: (N,) bool, the instances that go; kept: culled ones that stay, by reason; whole: objects that keep
+    all faces, by reason.
     """
 
     objects: tuple[bpy.types.Object, ...]
     masks: tuple[tuple[bpy.types.Object, Mask], ...]
     particle_modifiers: tuple[tuple[bpy.types.Object, str], ...]
+    faces: tuple[tuple[bpy.types.Object, Mask], ...]
     removed: Mask
     kept: dict[str, int]
+    whole: dict[str, int]
 
 
-def make_plan(culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool = False, in_render: bool = False) -> Plan:
-    """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render: as of `apply`."""
-    if not culled.any():
-        return Plan((), (), (), np.zeros(len(culled), bool), {})
-    return _Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan()
+def make_plan(culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool = False, in_render: bool = False, faces: Mapping[str, Mask] = EMPTY) -> Plan:
+    """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render, faces: as of `apply`."""
+    if not culled.any() and not faces:
+        return Plan((), (), (), (), np.zeros(len(culled), bool), {}, {})
+    return _Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan(faces)
 
 
 @dataclass(frozen=True)
@@ -124,12 +130,14 @@ class _Planner:
         self.object_reason: dict[int, str] = {}  # name index: why the object cannot be hidden
         self.host_reason: dict[int, str] = {}  # name index: why the host cannot be masked or switched off
 
-    def plan(self) -> Plan:
+    def plan(self, faces: Mapping[str, Mask]) -> Plan:
         hidden = self.hidden_objects()
         masks = tuple(self.masks(hidden))
         particles = tuple(self.particle_modifiers(hidden))
         self.removed &= self.culled
-        return Plan(tuple(hidden.values()), masks, particles, self.removed, self.kept())
+        whole: Counter[str] = Counter()
+        cut = tuple(self.faces(faces, set(hidden.values()), whole))
+        return Plan(tuple(hidden.values()), masks, particles, cut, self.removed, self.kept(), dict(whole))
 
     def hidden_objects(self) -> dict[int, bpy.types.Object]:
         """Objects to hide by their name index."""
@@ -223,6 +231,20 @@ class _Planner:
             for modifier in ob.modifiers:
                 if modifier.type == "PARTICLE_SYSTEM" and modifier.show_render:
                     yield ob, modifier.name
+
+    def faces(self, stay: Mapping[str, Mask], hidden: set[bpy.types.Object], whole: Counter[str]) -> Iterator[tuple[bpy.types.Object, Mask]]:
+        """Objects and faces for the face modifier; why others keep all of theirs goes into whole."""
+        for name, mask in stay.items():
+            ob = self.found.get(name)
+            if ob in hidden or mask.all():
+                continue
+            reason = self.modifier_obstacle(ob)
+            if ob is not None and reason is None:
+                reason = SIMULATION if simulates(ob) else MORE if self.references.carries_more(ob) else SHAPES if self.references.shapes_others(ob) else None
+            if ob is None or reason is not None:
+                whole[reason or MISSING] += 1
+            else:
+                yield ob, ~mask
 
     def hosts(self, kind: Kind) -> Iterator[tuple[int, NDArray[np.int64]]]:
         """Name index and instance indices of each host of a kind."""

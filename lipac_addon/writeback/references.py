@@ -13,6 +13,8 @@ _SHOWN_BY_PARTICLES = {"OBJECT", "COLLECTION"}
 _SIMULATION = {"COLLISION", "FLUID", "DYNAMIC_PAINT"}
 # What a render shows and instances of geometry do not stand for
 _OTHER_TYPES = {"LIGHT", "LIGHT_PROBE", "VOLUME", "CURVES", "POINTCLOUD", "META", "GREASEPENCIL", "GPENCIL"}
+# What may name an object without looking at its faces: where it is, or that it is there
+_HARMLESS = (bpy.types.Scene, bpy.types.Collection, bpy.types.Camera, bpy.types.Material, bpy.types.World, bpy.types.Light, bpy.types.Action)
 _SWITCHES = {"hide_render", "show_render"}
 
 
@@ -85,6 +87,16 @@ class References:
         """Whether another scene of the picture shows the object, itself or as an instance."""
         return ob in self._elsewhere
 
+    def shapes_others(self, ob: bpy.types.Object) -> bool:
+        """Whether something else may be made from the faces of an object: modifiers, constraints or nodes name it, or a collection with it."""
+        for user in bpy.data.user_map(subset=(ob,))[ob]:
+            if isinstance(user, bpy.types.Object):
+                if user != ob and ((user.parent == ob and user.parent_type.startswith("VERTEX")) or _names(user, ob)):
+                    return True
+            elif not isinstance(user, _HARMLESS):
+                return True
+        return any(_names(other, collection) for collection in ob.users_collection for other in bpy.data.objects)
+
     def _objects_of_nodes(self) -> set[bpy.types.ID]:
         separate = any(_separates_children(tree) for tree in bpy.data.node_groups)
         sources: set[bpy.types.ID] = set()
@@ -95,6 +107,13 @@ class References:
             elif by_nodes and separate and isinstance(x, bpy.types.Collection):
                 sources.update(x.all_objects)
         return sources
+
+
+def _names(ob: bpy.types.Object, block: bpy.types.ID) -> bool:
+    """Whether a modifier or a constraint of an object names a data-block."""
+    things = (*ob.modifiers, *ob.constraints)
+    own = (getattr(thing, p.identifier) for thing in things for p in thing.bl_rna.properties if p.type == "POINTER")
+    return any(value == block for value in own) or any(x == block for m in ob.modifiers if m.type == "NODES" for x in _inputs(m))
 
 
 def takes_modifiers(ob: bpy.types.Object) -> bool:

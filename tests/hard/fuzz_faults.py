@@ -116,9 +116,13 @@ def _same(before: dict[str, Any], otherwise: str) -> None:
 # Commands
 
 
+# Without what only the tests have: Numba imports SciPy where it is, whose OpenBLAS asks for memory for ever where there is none (Python 3.11).
+_COMMAND = "import sys; sys.modules['scipy'] = None; from lipac.scripts.lipac import main; sys.exit(main(sys.argv[1:]))"
+
+
 def lipac(folder: Path, *arguments: str, limit: Callable[[], None] | None = None) -> subprocess.Popen[str]:
     """A command in a folder, on one processor. limit: sets limits, within the process."""
-    line = [sys.executable, "-B", "-m", "lipac.scripts.lipac", *arguments]
+    line = [sys.executable, "-B", "-c", _COMMAND, *arguments]
     own: dict[str, Any] = {"preexec_fn": lambda: _begin(limit)}
     return subprocess.Popen(line, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **own)
 

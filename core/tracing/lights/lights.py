@@ -7,6 +7,7 @@ exact.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -85,6 +86,9 @@ def _mesh_emission(scene: Scene, mesh: Mesh, slot: int, scale: NDArray[np.float6
     return _Emission(lit.astype(np.int32), cdf.astype(np.float32), total, axis, theta_o if single or theta_o < 1.5 else np.pi, single)
 
 
+FIRST_ARRAY, INSTANCE_EMITTER = 3, 4  # place of the first array's address in the table, and which array tells the emitter of each instance
+
+
 class Lights:
     """Tables of all lights for the kernels.
 
@@ -139,7 +143,7 @@ class Lights:
             mesh_table[m] = record(mesh)
         image = self.environment.image if self.environment else np.zeros((1, 1, 3), np.float32)
         seen = np.zeros((0, 0, 3), np.float32) if scene.world.seen is None else np.ascontiguousarray(scene.world.seen, np.float32)
-        self._arrays = (
+        self._arrays: tuple[np.ndarray, ...] = (
             np.array(records, EMITTER),
             tree.trails,
             np.concatenate(cdfs),
@@ -158,7 +162,7 @@ class Lights:
                 len(self.lamps),
                 len(records),
                 len(infinite),
-                *[address(a) for a in self._arrays[:-1]],
+                *[address(a) for a in self._arrays[:-1]],  # from FIRST_ARRAY on
                 *((address(e.image), w, h, address(e.marginal), address(e.conditional)) if e else (0, 0, 0, 0, 0)),
                 scene.world.visibility,
                 len(infinite) - 1 if e else 0,
@@ -167,6 +171,16 @@ class Lights:
             ],
             np.uint64,
         )
+
+    def with_more_instances(self, count: int) -> Lights:
+        """The same lights in a scene of so many instances more, which do not emit."""
+        out = copy.copy(self)
+        emitter = self._arrays[INSTANCE_EMITTER]
+        emitter = np.append(emitter, np.full(count if len(emitter) else 0, -1, np.int32))
+        out._arrays = (*self._arrays[:INSTANCE_EMITTER], emitter, *self._arrays[INSTANCE_EMITTER + 1 :])
+        out.table = self.table.copy()
+        out.table[FIRST_ARRAY + INSTANCE_EMITTER] = address(emitter)
+        return out
 
     def _infinite(self, scene: Scene, suns: NDArray[np.int64]) -> tuple[I32, F32]:
         """Lights at infinity, suns then the world image (as lamp -1), and their cumulative probabilities: half uniform, half by irradiance."""

@@ -30,6 +30,7 @@ class MeshSource:
     """Where a mesh comes from: its geometry, name for messages, number of material slots that its triangles use, and whether any material needs UVs.
 
     origin: (3,) where its coordinates begin (`core.scene.placing.local_origin`), set when it is first placed; bounds are in Blender's own coordinates.
+    divisible: whether faces of it may be culled by themselves, so that their numbers are read.
     relief: how its materials displace it, in metres of its own space; None where none does.
     loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the first who asks.
     """
@@ -44,6 +45,7 @@ class MeshSource:
     loaded: Loaded | None = None
     ready: Mesh | None = None
     relief: Relief | None = None
+    divisible: bool = False
 
     def box(self) -> F32:
         """(2, 3) box of what `load` gives, in Blender's own coordinates."""
@@ -207,7 +209,10 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
     if source.slot_count > 1:
         slots = _slots(mesh)[kept]
     triangles: U32 = np.ascontiguousarray(vertices[kept]).view(np.uint32)
-    out = Mesh(positions, triangles, normals, uvs, slots)
+    faces = None
+    if source.divisible and len(corners) != len(mesh.polygons):
+        faces = read(mesh.loop_triangle_polygons, "value", len(corners), dtype=np.int32)[kept]
+    out = Mesh(positions, triangles, normals, uvs, slots, faces)
     return out if source.relief is None else shells(out, read(mesh.vertex_normals, "vector", len(positions), 3), source.relief)
 
 

@@ -1,0 +1,158 @@
+"""Large meshes divided into parts, as light paths ask for them: a level of the region tree below the instance.
+
+An instance whose mesh may be divided is a box like any other until paths ask for it. Then its mesh is read, and its parts, runs of neighbouring triangles, take
+its place: each an instance with a hitbox, a state and a BLAS of its own, which paths ask for in turn. So whole meshes are never built where parts do, and what
+nobody asks for is never read.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+
+from ..accel.region_tree import spatial_order
+from ..arrays import F32, I32, I64
+from ..scene.bounds import enclosing, triangle_boxes
+from ..scene.mesh import DIVIDED_FROM, Mesh
+from ..scene.model import InstanceFlag, Instances, Scene, world_bounds
+from ..tracing.lights.lights import emissive_instances
+from .options import State
+from .result import CullingResult
+
+PART = 256  # triangles of a part: with fewer more is culled, with more the parts' own structures are smaller
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A mesh in parts. order: (T,) int32 its triangles along a Morton curve; part p has those from p * PART on. boxes: (P, 2, 3) float32, object space."""
+
+    mesh: Mesh
+    order: I32
+    boxes: F32
+
+    @staticmethod
+    def of(mesh: Mesh) -> Parts:
+        """Divide a mesh."""
+        boxes = triangle_boxes(mesh.positions, mesh.triangles)
+        order = spatial_order(boxes)
+        return Parts(mesh, order, enclosing(boxes[order], PART))
+
+    def part(self, number: int) -> Mesh:
+        """One of them, with vertices of its own."""
+        mesh, chosen = self.mesh, self.order[number * PART : (number + 1) * PART]
+        vertices, corners = np.unique(mesh.triangles[chosen], return_inverse=True)
+        return Mesh(
+            mesh.positions[vertices],
+            corners.reshape(-1, 3).astype(np.uint32),
+            None if mesh.normals is None else mesh.normals[chosen],
+            None if mesh.uvs is None else mesh.uvs[:, chosen],
+            None if mesh.slots is None else mesh.slots[chosen],
+        )
+
+    def faces(self, parts: np.ndarray) -> np.ndarray:
+        """(F,) bool, faces of the mesh of which a triangle is in one of parts, (P,) bool."""
+        triangles = self.order[parts[np.arange(len(self.order)) // PART]]
+        faces = self.mesh.faces
+        out = np.zeros(len(self.order) if faces is None else int(faces.max()) + 1, bool)
+        out[triangles if faces is None else faces[triangles]] = True
+        return out
+
+
+class _Meshes(Sequence[Mesh]):
+    """Meshes of a scene, and behind them the parts of some."""
+
+    def __init__(self, whole: Sequence[Mesh], divided: Sequence[Parts]) -> None:
+        self._whole, self._divided = whole, divided
+        self._first = np.cumsum([len(whole), *(len(parts.boxes) for parts in divided)])
+
+    def __len__(self) -> int:
+        return int(self._first[-1])
+
+    @overload
+    def __getitem__(self, index: int) -> Mesh: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Mesh]: ...
+    def __getitem__(self, index: int | slice) -> Mesh | list[Mesh]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        if index < len(self._whole):
+            return self._whole[index]
+        k = int(np.searchsorted(self._first, index, side="right")) - 1
+        return self._divided[k].part(index - int(self._first[k]))
+
+
+class Division:
+    """A scene of which more and more meshes are divided.
+
+    scene: its instances as they were, N of them, of which those that are divided exist no more, and behind them the parts.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Those are divided whose flags let them (`InstanceFlag.DIVISIBLE`), and whose mesh is nobody else's."""
+        instances = scene.instances
+        users = np.bincount(instances.mesh, minlength=len(scene.meshes))
+        self._whole = self.scene = scene
+        self._may = ((instances.flags & InstanceFlag.DIVISIBLE) != 0) & (users[instances.mesh] == 1)
+        self._may[emissive_instances(scene)] = False  # light sampling picks triangles of these
+        self._rows: list[int] = []
+        self._parts: list[Parts] = []
+
+    def divide(self, active: np.ndarray) -> bool:
+        """Divide what is active, (N,) bool and perhaps more. Returns whether there was any."""
+        count = len(self._rows)
+        for row in np.flatnonzero(active[: len(self._may)] & self._may).tolist():
+            self._may[row] = False
+            mesh = self._whole.meshes[int(self._whole.instances.mesh[row])]
+            if len(mesh.triangles) >= DIVIDED_FROM:
+                self._rows.append(row)
+                self._parts.append(Parts.of(mesh))
+        if count == len(self._rows):
+            return False
+        self._renew()
+        return True
+
+    def _renew(self) -> None:
+        whole, rows, boxes = self._whole.instances, np.array(self._rows), [parts.boxes for parts in self._parts]
+        owner, mesh = self.owner, len(self._whole.meshes) + np.arange(sum(map(len, boxes)), dtype=np.int32)
+        mesh_bounds = np.concatenate([self._whole.mesh_bounds, *boxes])
+        bounds = whole.bounds.copy()
+        bounds[rows] = np.array([np.inf, -np.inf], np.float32)[:, None]  # what does not exist
+        self.scene = dataclasses.replace(
+            self._whole,
+            instances=Instances(
+                np.concatenate([whole.transform, whole.transform[owner]]),
+                np.concatenate([whole.mesh, mesh]),
+                np.concatenate([whole.slots, whole.slots[owner]]),
+                np.concatenate([whole.flags, whole.flags[owner]]),
+                np.concatenate([bounds, world_bounds(whole.transform[owner], mesh_bounds, mesh)]),
+            ),
+            meshes=_Meshes(self._whole.meshes, list(self._parts)),
+            mesh_bounds=mesh_bounds,
+        )
+
+    @property
+    def owner(self) -> I64:
+        """(P,) row of the divided instance that each part belongs to."""
+        return np.repeat(np.array(self._rows, np.int64), [len(parts.boxes) for parts in self._parts])
+
+    def joined(self, result: CullingResult) -> CullingResult:
+        """Of a result for the divided scene, one for the instances as they were: what is divided is active where a part is.
+
+        What paths carry through parts adds up; a path that meets several counts several times.
+        """
+        n, owner = len(self._whole.instances), self.owner
+        state, score, hits, stats = result.state[:n].copy(), result.score[:n].copy(), result.hits[:n].copy(), dict(result.stats)
+        active = result.state[n:] == State.ACTIVE
+        state[owner[active]] = State.ACTIVE
+        np.add.at(score, owner, result.score[n:])
+        np.add.at(hits, owner, result.hits[n:])
+        ends = np.cumsum([len(parts.boxes) for parts in self._parts])[:-1]
+        kept = {row: parts.faces(a) for row, parts, a in zip(self._rows, self._parts, np.split(active, ends), strict=True) if a.any()}
+        counts = np.bincount(state, minlength=len(State))
+        stats |= {"instances": n, "active": int(counts[State.ACTIVE]), "pending": int(counts[State.PENDING]), "culled": int(counts[State.CULLED])}
+        stats |= {"parts": len(owner), "parts_active": int(active.sum())}
+        return dataclasses.replace(result, state=state, score=score, hits=hits, stats=stats, faces=kept)
