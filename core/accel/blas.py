@@ -104,8 +104,13 @@ class BlasCache:
         return len(self._built)
 
     def advance(self, meshes: Sequence[Mesh], deformed: I32, replaced: I32) -> None:
-        """Go on to the next frame's meshes, at least as many: `core.scene.change.Change` says what deformed and replaced are. Nothing is read or built."""
+        """Go on to the next frame's meshes: `core.scene.change.Change` says what deformed and replaced are. Nothing is read or built; those beyond, which were
+        parts of others, are freed."""
         self._meshes = meshes
+        for index in [i for i in (*self._built, *self._coming) if i >= len(meshes)]:
+            self._free(index)
+        self.table, self.scenes, self.bytes_of = self.table[: len(meshes)], self.scenes[: len(meshes)], self.bytes_of[: len(meshes)]
+        self._known, self._deforms = self._known[: len(meshes)], self._deforms[: len(meshes)]
         more = len(meshes) - len(self.scenes)
         if more:
             self.table, self.scenes, self.bytes_of, self._known, self._deforms = (

@@ -144,6 +144,8 @@ class Division:
 
         What paths carry through parts adds up; a path that meets several counts several times.
         """
+        if not self._rows:
+            return result
         n, owner = len(self._whole.instances), self.owner
         state, score, hits, stats = result.state[:n].copy(), result.score[:n].copy(), result.hits[:n].copy(), dict(result.stats)
         active = result.state[n:] == State.ACTIVE

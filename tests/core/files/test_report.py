@@ -69,7 +69,8 @@ def test_states_come_back(tmp_path):
     keys["kind"], keys["host"], keys["object"] = rng.integers(0, 5, n), rng.integers(-1, 2, n), rng.integers(-1, 2, n)
     state, score, hits = rng.integers(0, 3, n).astype(np.uint8), rng.random(n, np.float32), rng.integers(0, 70000, (n, 5))
     boxes = rng.random((7, 2, 3))
-    save_states(tmp_path / "s.npz", state, score, hits, keys, ("a", "lib\nb"), boxes=boxes)
+    faces = {"a": rng.random(1001) < 0.5, "lib\nb": rng.random(3) < 0.5}
+    save_states(tmp_path / "s.npz", state, score, hits, keys, ("a", "lib\nb"), boxes=boxes, faces=faces)
     with np.load(tmp_path / "s.npz") as found:
         assert (found["state"] == state).all()
         assert (found["score"] == score).all()
@@ -85,6 +86,7 @@ def test_states_come_back(tmp_path):
         assert (found["boxes"] == boxes).all()
     back = load_states(tmp_path / "s.npz")
     assert (back.state == state).all() and (back.hits == hits).all() and back.names == ("a", "lib\nb") and back.note == ""
+    assert back.faces.keys() == faces.keys() and all(np.array_equal(back.faces[name], faces[name]) for name in faces)
 
 
 def test_states_do_not_depend_on_other_names(tmp_path):

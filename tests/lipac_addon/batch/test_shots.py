@@ -291,6 +291,30 @@ def test_a_set_of_frames_with_other_instances() -> None:
         shot.of(frame(["e"], [True]))
 
 
+def test_faces_of_a_shot_are_those_that_any_frame_keeps() -> None:
+    """An object that a frame keeps as a whole, or with another number of faces, stays as a whole; one that a frame culls is as the others say."""
+
+    def frame(kept: dict[str, list[bool] | bool]) -> States:
+        names, n = tuple(kept), len(kept)
+        keys: dict[str, np.ndarray] = {"kind": np.zeros(n, np.uint8), "host": np.full(n, -1, np.int32), "object": np.arange(n, dtype=np.int32)}
+        keys["path"] = np.zeros((n, 0), np.int32)
+        state = np.array([State.CULLED if value is False else State.ACTIVE for value in kept.values()], np.uint8)
+        faces = {name: np.array(value) for name, value in kept.items() if isinstance(value, list)}
+        return States(state, np.zeros(n, np.float32), np.zeros((n, 5), np.int64), keys, names, "", faces)
+
+    some, others = [True, False, False], [False, False, True]
+    frames = [
+        frame({"a": some, "b": some, "c": True, "d": False, "e": some}),
+        frame({"e": others[:2], "d": others, "c": some, "b": True, "a": others}),
+        frame({"a": False, "b": some, "c": some, "d": some, "e": some}),
+    ]
+    for order in (frames, frames[::-1]):
+        shot = ShotSet()
+        for one in order:
+            shot.add(one)
+        assert {name: mask.tolist() for name, mask in shot.faces.items()} == {"a": [True, False, True], "d": [True, False, True]}
+
+
 def test_a_whole_render_is_only_counted(moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """--cull none by Blender's engines extracts nothing; counts and states are those of an extraction."""
     expected = extract_frame(moving, 2)

@@ -14,6 +14,7 @@ from lipac.core.scene.model import InstanceFlag, RayType
 from lipac.core.scene.placing import usable_transforms
 from lipac.lipac_addon.extract import ExtractedWorld, Extraction, extract, extract_world, with_render_depsgraph
 from lipac.lipac_addon.extract.graph_items import full_name, ray_visibility
+from lipac.lipac_addon.extract.session import extract_frame
 from lipac.lipac_addon.keys import Kind
 
 from .conftest import add, collection, cube, grid, instance_of, nodes, scattered, wedge
@@ -48,12 +49,13 @@ def fast(extraction: Extraction) -> Groups:
     scene, keys = extraction.scene, extraction.keys
     counts = [len(mesh.triangles) for mesh in scene.meshes]
     groups: Groups = defaultdict(list)
+    flags = scene.instances.flags & ~np.uint8(InstanceFlag.DIVISIBLE)
     for k in range(len(scene.instances)):
         key = keys.records[k]
         m = scene.instances.transform[k].astype(np.float64)
         m[:, 3] += scene.origin
         host = key["host"] if key["host"] >= 0 else key["object"]
-        groups[keys.names[key["object"]], keys.names[host], int(scene.instances.flags[k]), counts[scene.instances.mesh[k]]].append(m)
+        groups[keys.names[key["object"]], keys.names[host], int(flags[k]), counts[scene.instances.mesh[k]]].append(m)
     return groups
 
 
@@ -389,3 +391,31 @@ def test_supplied_scenes(shared: Any, name: str) -> None:
 def test_world_type_is_exported() -> None:
     """What `extract` takes as world is what `extract_world` gives."""
     assert isinstance(extract_world(bpy.context.scene), ExtractedWorld)
+
+
+@pytest.mark.parametrize("why", ["", "small", "instanced", "holdout", "hair", "adaptive"])
+def test_whose_faces_may_be_culled_by_themselves(why: str) -> None:
+    """Those of a large mesh of an object of its own; the numbers of its faces are read then."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    side = 10 if why == "small" else 40
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=side, y_subdivisions=side)
+    ob = bpy.context.object
+    bpy.ops.object.camera_add(location=(0, 0, 5))
+    bpy.context.scene.camera = bpy.context.object
+    if why == "instanced":
+        bpy.context.scene.collection.objects.unlink(ob)
+        bpy.data.collections.new("grids").objects.link(ob)
+        bpy.ops.object.empty_add()
+        bpy.context.object.instance_type, bpy.context.object.instance_collection = "COLLECTION", bpy.data.collections["grids"]
+    elif why == "holdout":
+        ob.is_holdout = True
+    elif why == "hair":
+        ob.modifiers.new("hair", "PARTICLE_SYSTEM")
+    elif why == "adaptive" and bpy.app.version >= (5, 0, 0):
+        ob.modifiers.new("fine", "SUBSURF").use_adaptive_subdivision = True
+    scene = extract_frame(bpy.context.scene, 1).scene
+    assert bool(scene.instances.flags[0] & InstanceFlag.DIVISIBLE) == (why == "")
+    mesh = scene.meshes[int(scene.instances.mesh[0])]
+    assert (mesh.faces is not None) == (why == "")
+    if mesh.faces is not None:
+        assert np.array_equal(np.bincount(mesh.faces), np.full(40 * 40, 2))

@@ -14,7 +14,7 @@ def everything(keys):
     return np.ones(len(keys.records), bool)
 
 
-@pytest.mark.parametrize("broken", ["add", "_mask_object"])
+@pytest.mark.parametrize("broken", ["add", "mask_object"])
 def test_a_failure_leaves_nothing(broken, build, census_keys, snapshot, monkeypatch):
     """Whatever step of the mask fails: hidden objects are shown again."""
     build("nodes_object")

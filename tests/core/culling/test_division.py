@@ -1,0 +1,170 @@
+"""Large meshes by parts: all of a mesh is in its parts, paths ask for them, and what nobody asks for is neither built nor read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from lipac.core.accel.blas import BlasCache
+from lipac.core.culling.analysis import analyze, decide
+from lipac.core.culling.division import PART, Division, Parts
+from lipac.core.culling.loop import Loop
+from lipac.core.culling.options import CullOptions
+from lipac.core.error_budget.budget import Budget
+from lipac.core.evaluation.judge import Judge
+from lipac.core.scene import model as s
+from lipac.core.scene.mesh import DIVIDED_FROM, Mesh
+
+from .. import scenes
+from .test_budget_cases import CAMERA, facing, material, sun
+
+SIZE = (96, 54)
+OPTIONS = CullOptions(width=SIZE[0], max_error=Budget(0.01, 0.05), parts=True)
+FLAGS = np.uint8(s.ALL_RAYS | s.InstanceFlag.DIVISIBLE)
+
+
+def grid(side: int, quads: bool = True) -> Mesh:
+    """A unit square in the xy plane of side x side squares with a little relief, of two triangles each, which are one face where quads says so."""
+    x, y = (c.ravel() for c in np.meshgrid(*2 * [np.linspace(-1, 1, side + 1)], indexing="ij"))
+    positions = np.stack([x, y, 0.02 * np.sin(9 * x) * np.cos(7 * y)], axis=1).astype(np.float32)
+    corner = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
+    triangles = np.stack([corner, corner + side + 1, corner + side + 2, corner, corner + side + 2, corner + 1], axis=1).reshape(-1, 3).astype(np.uint32)
+    return Mesh(positions, triangles, faces=np.arange(len(triangles), dtype=np.int32) // 2 if quads else None)
+
+
+def terrain(flags: np.uint8 = FLAGS, side: int = 100, emission: float = 0.0, meshes: Sequence[Mesh] | None = None) -> s.Scene:
+    """A camera near the ground of a terrain of one mesh, and a cube on it that is too small to be divided."""
+    return scenes.build(
+        list(meshes or [grid(side), scenes.cube()]),
+        [(0, scenes.placed((0, 0, 0), 60.0), 0), (1, scenes.placed((0, 4, 0.5), 0.5), 1)],
+        [material(base_color=0.6, emission=emission), material(base_color=0.2)],
+        CAMERA,
+        sun((1, 0, 1)),
+        (0.4, 0.5, 0.7),
+        SIZE,
+        s.PathLimits(total=1, diffuse=1),
+        np.full(2, flags, np.uint8),
+    )
+
+
+def test_each_triangle_is_in_one_part_and_in_its_box() -> None:
+    mesh = grid(40)
+    parts = Parts.of(mesh)
+    count = -(-len(mesh.triangles) // PART)
+    assert len(parts.boxes) == count
+    rows = []
+    for number in range(count):
+        part = parts.part(number)
+        corners = part.positions[part.triangles]
+        assert 0 < len(part.triangles) <= PART
+        assert len(np.unique(part.triangles)) == len(part.positions)  # vertices of its own, no others
+        assert (corners >= parts.boxes[number, 0]).all()
+        assert (corners <= parts.boxes[number, 1]).all()
+        rows.append(corners.reshape(len(corners), 9))
+    whole = mesh.positions[mesh.triangles].reshape(-1, 9)
+    assert np.array_equal(np.unique(np.concatenate(rows), axis=0), np.unique(whole, axis=0))
+    assert parts.faces(np.ones(count, bool)).all()
+    one = parts.faces(np.arange(count) == 3)
+    assert PART // 2 <= one.sum() <= PART  # squares, some of them with one triangle in another part
+
+
+def test_all_that_belongs_to_triangles_goes_with_them() -> None:
+    mesh, rng = grid(40), np.random.default_rng(0)
+    n = len(mesh.triangles)
+    normals, uvs = rng.random((n, 3, 3), np.float32), rng.random((2, n, 3, 2), np.float32)
+    mesh = Mesh(mesh.positions, mesh.triangles, normals, uvs, rng.integers(0, 9, n).astype(np.uint16))
+    parts = Parts.of(mesh)
+    part, chosen = parts.part(5), parts.order[5 * PART : 6 * PART]
+    assert part.normals is not None and part.uvs is not None and part.slots is not None
+    assert np.array_equal(part.positions[part.triangles], mesh.positions[mesh.triangles[chosen]])
+    assert np.array_equal(part.normals, mesh.normals[chosen])  # type: ignore[index]
+    assert np.array_equal(part.uvs, mesh.uvs[:, chosen])  # type: ignore[index]
+    assert np.array_equal(part.slots, mesh.slots[chosen])  # type: ignore[index]
+
+
+def test_a_terrain_keeps_the_budget_by_few_of_its_triangles() -> None:
+    """By 64 fresh paths per pixel of another seed, less two of their deviations."""
+    loop = Loop(terrain(), OPTIONS)
+    result = decide(loop)
+    whole = analyze(terrain(), CullOptions(width=SIZE[0], max_error=OPTIONS.max_error))
+    assert result.active.all()
+    assert len(result.active) == 2
+    assert result.stats["triangles"] < 0.5 * whole.stats["triangles"]
+    change = Judge(loop.scene, 64).change(loop.activation.kept)
+    assert change.mean - 2 * change.mean_deviation <= OPTIONS.max_error.mean
+    assert change.worst - 2 * change.worst_deviation <= OPTIONS.max_error.worst
+    assert change.mean > 0  # something that matters a little went
+    assert result.hits[0].sum() > 0
+    assert list(result.faces) == [0]
+    kept = int(result.faces[0].sum())
+    assert 0 < kept < 0.5 * 100 * 100
+    assert result.stats["triangles"] - 12 <= 2 * kept  # a square stays with one of its triangles
+
+
+def test_parts_are_the_same_at_any_number_of_threads() -> None:
+    faces = [analyze(terrain(), CullOptions(width=SIZE[0], parts=True, threads=threads)).faces[0] for threads in (1, 2)]
+    assert np.array_equal(*faces)
+
+
+def test_whole_meshes_are_never_built_where_parts_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    build, sizes = BlasCache._build, list[int]()
+
+    def counted(self: BlasCache, index: int, mesh: Mesh) -> object:
+        sizes.append(len(mesh.triangles))
+        return build(self, index, mesh)
+
+    monkeypatch.setattr(BlasCache, "_build", counted)
+    analyze(terrain(), OPTIONS)
+    assert 0 < max(sizes) <= PART
+    assert sum(sizes) < 2 * 100 * 100
+
+
+class Read(list[Mesh]):
+    """Meshes that note which of them are read."""
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        super().__init__(meshes)
+        self.read: set[int] = set()
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        self.read.add(index)
+        return super().__getitem__(index)
+
+
+def test_what_no_path_asks_for_is_never_read() -> None:
+    """A large mesh behind the camera, before a wall that the sun shines on from the front."""
+    meshes = Read([scenes.quad(), grid(60)])
+    wall = (0, facing((1, 0, 0), (0, -1, 0), (0, 3, 0), 40, 40), 0)
+    look, flags = scenes.look_at((0, -8, 0.5), (0, 0, 0.5)), np.full(2, FLAGS, np.uint8)
+    placement, limits = [wall, (1, scenes.placed((0, -90, 0), 3.0), 0)], s.PathLimits(total=1, diffuse=0)
+    scene = scenes.build(meshes, placement, None, look, sun((0, -1, 1)), (0, 0, 0), SIZE, limits, flags)
+    meshes.read.clear()
+    result = analyze(scene, OPTIONS)
+    assert result.active.tolist() == [True, False]
+    assert meshes.read == {0}
+    assert result.faces == {}
+
+
+@pytest.mark.parametrize("why", ["not flagged", "small", "emits", "shared", "pinned", "switched off"])
+def test_what_is_not_divided(why: str) -> None:
+    scene, options, pinned = terrain(), OPTIONS, None
+    if why == "not flagged":
+        scene = terrain(np.uint8(s.ALL_RAYS))
+    elif why == "small":
+        scene = terrain(side=int((DIVIDED_FROM / 2) ** 0.5) - 1)
+    elif why == "emits":
+        scene = terrain(emission=1.0)
+    elif why == "shared":
+        places, flags = [(0, scenes.placed((x, 0, 0), 30.0), 0) for x in (-30, 30)], np.full(2, FLAGS, np.uint8)
+        scene = scenes.build([grid(100)], places, None, CAMERA, sun((1, 0, 1)), size=SIZE, flags=flags)
+    elif why == "pinned":
+        pinned = np.array([True, False])
+    else:
+        options = CullOptions(width=SIZE[0])
+    assert not Division(scene).divide(np.zeros(2, bool))
+    result = analyze(scene, options, pinned=pinned)
+    assert result.faces == {}
+    assert "parts" not in result.stats or result.stats["parts"] == 0
+    assert result.active[0]
