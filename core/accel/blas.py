@@ -109,13 +109,9 @@ class BlasCache:
         self._meshes = meshes
         for index in [i for i in (*self._built, *self._coming) if i >= len(meshes)]:
             self._free(index)
-        self.table, self.scenes, self.bytes_of = self.table[: len(meshes)], self.scenes[: len(meshes)], self.bytes_of[: len(meshes)]
-        self._known, self._deforms = self._known[: len(meshes)], self._deforms[: len(meshes)]
-        more = len(meshes) - len(self.scenes)
-        if more:
-            self.table, self.scenes, self.bytes_of, self._known, self._deforms = (
-                np.concatenate([a, np.zeros(more, a.dtype)]) for a in (self.table, self.scenes, self.bytes_of, self._known, self._deforms)
-            )
+        for name in ("table", "scenes", "bytes_of", "_known", "_deforms"):
+            old = getattr(self, name)[: len(meshes)]
+            setattr(self, name, np.concatenate([old, np.zeros(len(meshes) - len(old), old.dtype)]))
         for index in replaced.tolist():
             self._free(index)
         self._known[replaced] = 0

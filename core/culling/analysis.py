@@ -16,7 +16,7 @@ from ..error_budget.search import DENSER, TRIALS, Choice, Search
 from ..error_budget.trial import Trial
 from ..error_budget.units import Units, units_of
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import marks
+from ..feedback.tiles import DARK, marks
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import MORE, STEEPEST, Certificate, Verdict
@@ -76,9 +76,16 @@ def by_counts(loop: Loop, measured: Measurement, min_share: float) -> CullingRes
     keep = loop.activation.pinned | (loop.activation.active & reaches(met, feedback.paths, share))
     figures: dict[str, float | int] = {}
     if loop.options.max_iterations > 1:  # else in real time, where each path counts
-        unknown = loop.unknown(measured.next_sample, 1)
+        unknown = _unknown(loop, measured.next_sample, 1)
         figures = {"unknown_mean": float(unknown.mean()), "unknown_worst": float(unknown.max())}
     return loop.result(keep, (met / max(feedback.paths, 1)).astype(np.float32), feedback.hits, (), **figures)
+
+
+def _unknown(loop: Loop, first_sample: int, samples: int) -> F64:
+    """(T,) share of each tile's light that so many fresh paths per pixel carry through boxes that are not opened."""
+    only: NDArray[np.uint8] = np.ones((loop.size[1], loop.size[0], samples), np.uint8)
+    witness = loop.witness(first_sample, only, Budget(np.inf, np.inf))
+    return np.asarray(witness.unknown / np.maximum(witness.light, max(DARK * float(witness.light.mean()), 1e-30)))
 
 
 def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progress = silent) -> CullingResult:

@@ -20,7 +20,8 @@ from ..scene.bounds import enclosing, triangle_boxes
 from ..scene.mesh import DIVIDED_FROM, Mesh
 from ..scene.model import InstanceFlag, Instances, Scene, world_bounds
 from ..tracing.lights.lights import emissive_instances
-from .options import State
+from .options import CullOptions, State
+from .policies import LIGHT_PATHS
 from .result import CullingResult
 
 PART = 256  # triangles of a part: with fewer more is culled, with more the parts' own structures are smaller
@@ -90,6 +91,13 @@ class Division:
 
     scene: its instances as they were, N of them, of which those that are divided exist no more, and behind them the parts.
     """
+
+    @staticmethod
+    def of(scene: Scene, options: CullOptions, limited: bool) -> Division | None:
+        """What is to be divided where light paths decide, in as many rounds as they need; not where builds are limited, nor where a raster's first hits lie on
+        whole meshes."""
+        wanted = options.parts and options.policy == LIGHT_PATHS and options.max_iterations > 1 and not limited and not scene.first_hits
+        return Division(scene) if wanted and (scene.instances.flags & InstanceFlag.DIVISIBLE).any() else None
 
     def __init__(self, scene: Scene) -> None:
         """Those are divided whose flags let them (`InstanceFlag.DIVISIBLE`), and whose mesh is nobody else's."""

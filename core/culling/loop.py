@@ -19,21 +19,20 @@ from ..accel.hitboxes import Hitboxes
 from ..accel.region_tree import Cut
 from ..accel.residency import Residency
 from ..accel.tlas import Tlas
-from ..arrays import F32, F64, I64
+from ..arrays import F32, I64
 from ..error_budget.budget import Budget
 from ..feedback.hits import Weights
 from ..feedback.path_log import RECORD, PathLog, renumber
-from ..feedback.tiles import DARK, TILES, marks, tiles_of
+from ..feedback.tiles import TILES, marks, tiles_of
 from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
-from ..scene.model import InstanceFlag, Scene
+from ..scene.model import Scene
 from .activation import SETTLED, Activation
 from .division import Division
 from .frame_tracer import FrameTracer, places
 from .measurement import Measurement, Traced, Witness
 from .options import CullOptions
-from .policies import LIGHT_PATHS
 from .result import Built, CullingResult, states, structure_figures
 from .twins import Twins
 
@@ -66,7 +65,7 @@ class Loop:
         self.blas = BlasCache(scene.meshes, self.device) if blas is None else blas
         self.residency = Residency(self.blas, options.blas_budget_ms / 1000, options.blas_budget_bytes, options.hysteresis)
         self.cold = True  # nothing is known yet of what paths need
-        self.division = self._division_of(scene)
+        self.division = Division.of(scene, options, self.limited)
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         self._twins = Twins()
         self.tracer = FrameTracer(scene, options, self.residency, cancelled)
@@ -131,18 +130,10 @@ class Loop:
                 break
         return self.measure(tlas, progress=part(progress, 0.5, 1.0))
 
-    def _division_of(self, scene: Scene) -> Division | None:
-        """What is divided where light paths decide, in as many rounds as they need; a raster's first hits lie on whole meshes."""
-        options = self.options
-        wanted = options.parts and options.policy == LIGHT_PATHS and options.max_iterations > 1 and not self.limited and not scene.first_hits
-        return Division(scene) if wanted and (scene.instances.flags & InstanceFlag.DIVISIBLE).any() else None
-
     def _divide(self) -> None:
         """Have the parts of large meshes in the place of what paths have asked for."""
-        if self.division is None:
-            return
         with self.timer.step("build_s"):
-            if self.division.divide(self.activation.active & ~self.activation.pinned):
+            if self.division and self.division.divide(self.activation.active & ~self.activation.pinned):
                 self.scene = self.division.scene
                 self.blas.advance(self.scene.meshes, *np.zeros((2, 0), np.int32))
                 self.activation.divide(self.scene)
@@ -223,12 +214,6 @@ class Loop:
             only, before = log.affected(np.zeros(len(tlas), bool)), tlas
         return Witness(tlas, log, first_sample, np.asarray(light * weights.unit, np.float64), np.asarray(weights.light[0] * weights.unit, np.float64))
 
-    def unknown(self, first_sample: int, samples: int) -> F64:
-        """(T,) share of each tile's light that so many fresh paths per pixel carry through boxes that are not opened."""
-        only: NDArray[np.uint8] = np.ones((self.size[1], self.size[0], samples), np.uint8)
-        witness = self.witness(first_sample, only, Budget(np.inf, np.inf))
-        return np.asarray(witness.unknown / np.maximum(witness.light, max(DARK * float(witness.light.mean()), 1e-30)))
-
     def include(self, instances: np.ndarray) -> None:
         """Have a set of instances, (N,) bool, in the TLAS until the frame is decided, as far as no budget of BLASes forbids."""
         self.activation.activate_for_witness(instances)
@@ -254,9 +239,8 @@ class Loop:
             state = states(keep, self.residency, self.scene.instances.mesh, self.activation.active)
         stats = structure_figures(state, self.scene.instances.mesh[tlas.ids], self.blas, tlas.bytes + boxes.bytes) | self.timer.seconds
         stats |= {"paths": self.tracer.paths, "rays": self.tracer.rays, "iterations": self.rounds, "hitboxes": len(boxes), **figures}
-        built = Built(self.blas, tlas, self.tracer.prepared)
-        result = CullingResult(state, score, hits, cut.bounds, stats, warnings, built=built)
-        return result if self.division is None else self.division.joined(result)
+        result = CullingResult(state, score, hits, cut.bounds, stats, warnings, built=Built(self.blas, tlas, self.tracer.prepared))
+        return self.division.joined(result) if self.division else result
 
 
 def _mean_luminance(picture: F32) -> float:

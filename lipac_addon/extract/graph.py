@@ -151,8 +151,7 @@ class GraphReader:
             node.alone = item.type != "MESH"
         node.alone |= item.type == "META"
         parent = item.parent
-        if node.kind == Kind.OBJECT and not node.marks and node.geometry is not None and node.geometry.mesh >= 0 and is_divisible(item):
-            node.marks |= int(InstanceFlag.DIVISIBLE)
+        node.marks |= int(InstanceFlag.DIVISIBLE) * is_divisible(node)
         node.replaced = parent is not None and parent.instance_type in {"VERTS", "FACES"}
         node.unsupported = tuple(lines)
 

@@ -93,9 +93,10 @@ def legacy_instancing(item: Any, lines: dict[str, None]) -> Kind | None:
     return Kind.DUPLI if kind is None and item.instance_type in {"VERTS", "FACES"} else kind
 
 
-def is_divisible(item: Any) -> bool:
-    """Whether faces of an object that instances nothing may be culled by themselves: those of a large mesh, which nothing grows from in a render."""
-    if item.type != "MESH" or len(item.particle_systems):
+def is_divisible(node: Node) -> bool:
+    """Whether faces of an object may be culled by themselves: those of a large mesh, that instances nothing, and which nothing grows from in a render."""
+    item = node.item
+    if item.type != "MESH" or node.kind != Kind.OBJECT or node.marks or node.geometry is None or node.geometry.mesh < 0 or len(item.particle_systems):
         return False
     diced = any(m.type == "SUBSURF" and getattr(m, "use_adaptive_subdivision", False) for m in item.modifiers)
     diced |= bool(getattr(getattr(item, "cycles", None), "use_adaptive_subdivision", False))

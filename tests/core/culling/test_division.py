@@ -104,8 +104,8 @@ def test_a_terrain_keeps_the_budget_by_few_of_its_triangles() -> None:
 
 
 def test_parts_are_the_same_at_any_number_of_threads() -> None:
-    faces = [analyze(terrain(), CullOptions(width=SIZE[0], parts=True, threads=threads)).faces[0] for threads in (1, 2)]
-    assert np.array_equal(*faces)
+    one, two = (analyze(terrain(), CullOptions(width=SIZE[0], parts=True, threads=threads)).faces[0] for threads in (1, 2))
+    assert np.array_equal(one, two)
 
 
 def test_whole_meshes_are_never_built_where_parts_are(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,8 @@ import pytest
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.files.report import Report, load_states
-from lipac.lipac_addon.batch.pipeline import FRAME, SHOT, Job, run
+from lipac.lipac_addon.batch.job import FRAME, SHOT, Job
+from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.batch.verify import GRID
 
 SIDE = 120
