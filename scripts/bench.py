@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import statistics
 import subprocess
@@ -11,7 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.errors import InputError
 from ..core.files.report import SECONDS
+from ..lipac_addon.batch.engines.choices import CPU, GPU_KINDS
 from .studies import compare
 from .studies.compare import CULLED, FULL, OTHER_SEED, markdown
 from .studies.machine import machine
@@ -20,6 +23,8 @@ PEERS = ("rays", "feedback", "paths", "extraction", "city", "compiling")
 FLYTHROUGH = ("flythrough", "shot")
 ANIMATION = ("crowd", "character", *FLYTHROUGH, "growth", "rest", "memory", "pictures")
 PARTS = (*PEERS, *ANIMATION)
+GPU = "gpu"
+KINDS = (CPU, *GPU_KINDS)
 CITY = 1_000_000
 CITY_OPTIONS = ("--resolution", "320x180", "--samples", "4")
 
@@ -31,12 +36,17 @@ def main(argv: Sequence[str]) -> int:
 
     parser = Parser(prog="lipac bench", description="Measure against peers, and animated scenes; parts already measured in DIR are kept.")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
-    what = "measure only this part, again; may be repeated. animation: what is not measured yet of animated scenes, instead of peers"
-    parser.add_argument("--only", choices=(*PARTS, "animation"), action="append", help=what)
+    what = "measure only this part, again; may be repeated. animation: what is not measured yet of animated scenes, instead of peers; gpu: on graphics cards"
+    parser.add_argument("--only", choices=(*PARTS, "animation", GPU), action="append", help=what)
     parser.add_argument("--repeats", type=int, default=3, help="runs of each command of the part 'city' (default: %(default)s)")
     parser.add_argument("--run", choices=PARTS, help="measure one part in this process and write DIR/PART.json (what the parts' processes are called with)")
+    _add_gpu_options(parser)
     args = parser.parse_args(argv)
     folder = output_folder(args.output)
+    if GPU in (args.only or []):
+        if len(args.only) > 1:
+            raise InputError("--only gpu measures nothing else: give it alone")
+        return _gpu(folder, args)
     if args.run:
         result = measure(args.run, folder, args.repeats)
         (folder / f"{args.run}.json").write_text(json.dumps(result | {"machine": machine()}, indent=1) + "\n")
@@ -61,6 +71,50 @@ def main(argv: Sequence[str]) -> int:
         from .studies.animation_report import write
 
         print(write(folder, animated))
+    return 0
+
+
+def _add_gpu_options(parser: argparse.ArgumentParser) -> None:
+    from .options import resolution
+    from .studies.bench_gpu import DEVICES, SCENES, WAYS, Plan
+
+    plan, gpu = Plan(), parser.add_argument_group("--only gpu")
+
+    def some(text: str) -> list[str]:
+        return text.split(",")
+
+    known = ",".join(f"{name}:{count}" for name, count in SCENES.items())
+    gpu.add_argument("--scenes", type=some, default=[*SCENES], metavar="NAME[:N],...", help=f"with so many instances (default: {known})")
+    gpu.add_argument(
+        "--devices", type=some, default=[*DEVICES], metavar="NAME,...", help=f"as of lipac render --device, or eevee (default: {','.join(DEVICES)})"
+    )
+    gpu.add_argument("--samples", type=some, default=["32", "128"], metavar="N,...", help="per pixel (default: 32,128)")
+    gpu.add_argument("--ways", type=some, default=[*WAYS], metavar="NAME,...", help=f"default: {','.join(WAYS)}")
+    gpu.add_argument("--size", type=resolution, default=plan.size, metavar="WxH", help="default: 1920x1080")
+    gpu.add_argument("--limit", type=float, default=plan.limit, metavar="S", help="seconds of one measurement (default: %(default)g)")
+    gpu.add_argument("--within", type=float, default=plan.within, metavar="S", help="seconds of the whole call; another goes on (default: %(default)g)")
+    gpu.add_argument("--again", action="store_true", help="measure what was measured before, too")
+
+
+def _gpu(folder: Path, args: argparse.Namespace) -> int:
+    """Measure on graphics cards. Raises InputError for names that do not exist."""
+    from .studies.bench_gpu import DEVICES, SCENES, WAYS, Plan, run
+
+    named = [scene.partition(":") for scene in args.scenes]
+    counts = [count or str(SCENES.get(name, 0)) for name, _, count in named]
+    places = {
+        "--scenes": ([name for name, *_ in named], [*SCENES]),
+        "--devices": (args.devices, [*dict.fromkeys([*DEVICES, *KINDS])]),
+        "--ways": (args.ways, [*WAYS]),
+    }
+    for option, (given, known) in places.items():
+        if wrong := [name for name in given if name not in known]:
+            raise InputError(f"{option}: no '{wrong[0]}'; choose from {', '.join(known)}")
+    if wrong := [number for number in [*counts, *args.samples] if not number.isdecimal() or not int(number)]:
+        raise InputError(f"'{wrong[0]}' is no number of instances or samples")
+    scenes = {name: int(count) for (name, *_), count in zip(named, counts, strict=True)}
+    plan = Plan(scenes, tuple(args.devices), tuple(map(int, args.samples)), tuple(args.ways), args.size, args.limit, args.within, args.again)
+    print(run(folder, plan))
     return 0
 
 

@@ -20,11 +20,12 @@ def main(argv: Sequence[str]) -> int:
         description="Write a procedural demo scene to a .blend file.",
         epilog="mirror-city: streets of instanced buildings, seen in a large mirror. flythrough: the same city; the camera drives through it, turns a "
         "corner, and is cut to another place and back, frames 1-120. crowd: walking characters with skeletons, each deformed on its own, frames 1-48. "
+        "textures: panels with an image of 64 MB each, most of them behind a wall. "
         "family: a random scatter for each --seed, as of lipac evaluate --family.",
     )
-    parser.add_argument("name", metavar="NAME", help="mirror-city, flythrough, crowd, or family (see below)")
+    parser.add_argument("name", metavar="NAME", help="mirror-city, flythrough, crowd, textures, or family (see below)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.blend")
-    instances = "in the city: 1,000 to 1,000,000; in the crowd: figures, 1 to 20,000; in the family: 1 to 60,000"
+    instances = "in the city: 1,000 to 1,000,000; in the crowd: figures, 1 to 20,000; in the family: 1 to 60,000; images in textures: 1 to 512"
     parser.add_argument("--instances", type=count, metavar="N", help=instances)
     parser.add_argument("--figure", type=Path, metavar="FILE", help="crowd: an animated character, .glb for example (default: a plain figure of our own)")
     parser.add_argument("--seed", type=seed_number, default=0, metavar="S", help="the same seed gives the same scene (default: 0)")

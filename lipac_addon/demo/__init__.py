@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from ...core.errors import InputError
-from . import crowd, family, flythrough, mirror_city
+from . import crowd, family, flythrough, mirror_city, textures
 
-SCENES = {"mirror-city": mirror_city.build, "flythrough": flythrough.build, "crowd": crowd.build, "family": family.build}
+SCENES: dict[str, Callable[..., None]] = {
+    "mirror-city": mirror_city.build,
+    "flythrough": flythrough.build,
+    "crowd": crowd.build,
+    "textures": textures.build,
+    "family": family.build,
+}
 
 
 def build(name: str, instances: int | None = None, seed: int = 0, figure: Path | None = None) -> None:

@@ -84,8 +84,14 @@ def _facade(s: Solid, centres: F64, sills: F64, window: tuple[float, float], eav
     bar, near, far = 0.09, inner - 0.1, inner + 0.01
     middle = (x0 + x1) / 2
     transom = z0 + (z1 - z0) * 0.66
-    for a, b, c, d in ((x0, x0 + bar, z0, z1), (x1 - bar, x1, z0, z1), (x0, x1, z0, z0 + bar), (x0, x1, z1 - bar, z1),
-                       (middle - bar / 2, middle + bar / 2, z0, z1), (x0, x1, transom - bar / 2, transom + bar / 2)):
+    for a, b, c, d in (
+        (x0, x0 + bar, z0, z1),
+        (x1 - bar, x1, z0, z1),
+        (x0, x1, z0, z0 + bar),
+        (x0, x1, z1 - bar, z1),
+        (middle - bar / 2, middle + bar / 2, z0, z1),
+        (x0, x1, transom - bar / 2, transom + bar / 2),
+    ):
         s.boxes(_points(a, near, c), _points(b, far, d), FRAME)
     s.boxes(_points(x0 - 0.12, -0.2, z0 - 0.14), _points(x1 + 0.12, 0.05, z0), TRIM)
 
@@ -146,8 +152,12 @@ def _chimneys(s: Solid, rng: np.random.Generator, z: float, height: float) -> No
 def _flat_roof(s: Solid, rng: np.random.Generator, eaves: float, centres: F64) -> None:
     low, high = -WIDTH / 2, WIDTH / 2
     s.quads([[[low, 0, eaves], [high, 0, eaves], [high, DEPTH, eaves], [low, DEPTH, eaves]]], ROOF)
-    for a, b in (((low, 0, eaves), (high, 0.3, eaves + 0.9)), ((low, DEPTH - 0.3, eaves), (high, DEPTH, eaves + 0.9)),
-                 ((low, 0.3, eaves), (low + 0.25, DEPTH - 0.3, eaves + 0.9)), ((high - 0.25, 0.3, eaves), (high, DEPTH - 0.3, eaves + 0.9))):
+    for a, b in (
+        ((low, 0, eaves), (high, 0.3, eaves + 0.9)),
+        ((low, DEPTH - 0.3, eaves), (high, DEPTH, eaves + 0.9)),
+        ((low, 0.3, eaves), (low + 0.25, DEPTH - 0.3, eaves + 0.9)),
+        ((high - 0.25, 0.3, eaves), (high, DEPTH - 0.3, eaves + 0.9)),
+    ):
         s.boxes(a, b, WALL)
     x = rng.uniform(-3, 0)
     s.boxes((x, 5, eaves), (x + 3, 8, eaves + 2.2), WALL)
@@ -157,8 +167,10 @@ def _flat_roof(s: Solid, rng: np.random.Generator, eaves: float, centres: F64) -
 
 def _mansard_roof(s: Solid, rng: np.random.Generator, eaves: float, centres: F64) -> None:
     low, high, knee = -WIDTH / 2, WIDTH / 2, eaves + 2.8
+
     def ring(y0: float, y1: float, z: float) -> list[tuple[float, float, float]]:
         return [(low, y0, z), (high, y0, z), (high, y1, z), (low, y1, z)]
+
     s.frustum(ring(0, DEPTH, eaves + 0.2), ring(1.2, DEPTH - 1.2, knee), ROOF)
     s.frustum(ring(1.2, DEPTH - 1.2, knee), ring(5, 7, knee + 1.1), ROOF)
     n = len(centres)
@@ -173,8 +185,13 @@ def _mansard_roof(s: Solid, rng: np.random.Generator, eaves: float, centres: F64
 
 def _gable_roof(s: Solid, rng: np.random.Generator, eaves: float, centres: F64) -> None:
     low, high, ridge = -WIDTH / 2, WIDTH / 2, eaves + 3.6
-    s.quads([[[low, -0.5, eaves + 0.1], [high, -0.5, eaves + 0.1], [high, DEPTH / 2, ridge], [low, DEPTH / 2, ridge]],
-             [[high, DEPTH + 0.5, eaves + 0.1], [low, DEPTH + 0.5, eaves + 0.1], [low, DEPTH / 2, ridge], [high, DEPTH / 2, ridge]]], ROOF)
+    s.quads(
+        [
+            [[low, -0.5, eaves + 0.1], [high, -0.5, eaves + 0.1], [high, DEPTH / 2, ridge], [low, DEPTH / 2, ridge]],
+            [[high, DEPTH + 0.5, eaves + 0.1], [low, DEPTH + 0.5, eaves + 0.1], [low, DEPTH / 2, ridge], [high, DEPTH / 2, ridge]],
+        ],
+        ROOF,
+    )
     for x, flip in ((low, True), (high, False)):
         gable = np.array([[x, 0, eaves], [x, DEPTH, eaves], [x, DEPTH / 2, ridge]], float)
         s.add(gable[::-1] if flip else gable, np.array([[0, 1, 2]]), WALL)
@@ -220,8 +237,10 @@ def car(van: bool) -> Solid:
     """Parked car along X, 4.3 m (a van is taller). Slots: paint, glass, tyre, chrome."""
     s = Solid()
     roof = 2.0 if van else 1.42
+
     def ring(x0: float, x1: float, half: float, z: float) -> list[tuple[float, float, float]]:
         return [(x0, -half, z), (x1, -half, z), (x1, half, z), (x0, half, z)]
+
     s.frustum(ring(-2.1, 2.1, 0.8, 0.25), ring(-2.15, 2.15, 0.88, 0.55), PAINT)
     s.frustum(ring(-2.15, 2.15, 0.88, 0.55), ring(-2.05, 2.0, 0.84, 0.92), PAINT)
     front, back = ((1.35, 1.75), (-2.0, -2.0)) if van else ((0.6, 1.25), (-1.35, -1.85))

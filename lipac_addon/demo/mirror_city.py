@@ -32,8 +32,14 @@ MIRROR_SIZE = (13.0, 7.6)
 MIRROR_TURN = math.radians(5.0)
 
 _WALLS: tuple[Color, ...] = (
-    (0.52, 0.18, 0.11), (0.75, 0.62, 0.42), (0.62, 0.34, 0.16), (0.55, 0.58, 0.60),
-    (0.72, 0.45, 0.35), (0.36, 0.45, 0.52), (0.78, 0.72, 0.60), (0.45, 0.16, 0.13),
+    (0.52, 0.18, 0.11),
+    (0.75, 0.62, 0.42),
+    (0.62, 0.34, 0.16),
+    (0.55, 0.58, 0.60),
+    (0.72, 0.45, 0.35),
+    (0.36, 0.45, 0.52),
+    (0.78, 0.72, 0.60),
+    (0.45, 0.16, 0.13),
 )
 _ACCENTS: tuple[Color, ...] = ((0.05, 0.22, 0.18), (0.45, 0.05, 0.05), (0.05, 0.10, 0.30), (0.50, 0.28, 0.03))
 _PAINTS: tuple[Color, ...] = ((0.60, 0.03, 0.02), (0.03, 0.12, 0.40), (0.75, 0.75, 0.72), (0.03, 0.03, 0.035), (0.85, 0.55, 0.05))
@@ -61,9 +67,7 @@ def build(instances: int | None, seed: int) -> None:
     add_camera(scene)
 
 
-def layout(
-    count: int, rng: np.random.Generator, leave_out: Callable[[F64], np.ndarray] | None = None
-) -> tuple[F64, np.ndarray, F64, F64]:
+def layout(count: int, rng: np.random.Generator, leave_out: Callable[[F64], np.ndarray] | None = None) -> tuple[F64, np.ndarray, F64, F64]:
     """Where everything stands: points (count, 3) metres, kind (count,) index of the part, turn (count,) radians about Z, size (count,) factor.
 
     The street comes first and is the same for every count; then suburb blocks by distance, cut off at `count`. leave_out: which rows of the street, (K, 5)
