@@ -75,7 +75,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _add_gpu_options(parser: argparse.ArgumentParser) -> None:
-    from .options import resolution
+    from .arguments import resolution
     from .studies.bench_gpu import DEVICES, SCENES, WAYS, Plan
 
     plan, gpu = Plan(), parser.add_argument_group("--only gpu")

@@ -12,7 +12,8 @@ def main(argv: Sequence[str]) -> int:
     from pathlib import Path
 
     from ..core.errors import Cancelled, InputError
-    from .options import Parser, count, ctrl_c, seed_number
+    from .arguments import count, seed_number
+    from .options import Parser, ctrl_c
     from .streams import say
 
     parser = Parser(

@@ -27,7 +27,8 @@ PIECES = "build"  # folder of finished pieces, which need not be kept
 def main(argv: Sequence[str]) -> int:
     """Evaluate what the command line says; returns the exit status."""
     from ..core.files.report import output_folder
-    from .options import Parser, count, path_count, resolution, seed_number, thread_count
+    from .arguments import count, path_count, resolution, seed_number, thread_count
+    from .options import Parser
 
     parser = Parser(prog="lipac evaluate", description="Measure cost and error of every culling policy. What is already measured in DIR is kept.")
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help="a scene file, as for lipac render")

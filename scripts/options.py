@@ -7,7 +7,6 @@ import dataclasses
 import gc
 import hashlib
 import os
-import re
 import signal
 import socket
 import sys
@@ -24,12 +23,12 @@ from ..core.errors import InputError
 from ..core.progress import Progress, Terminal, silent
 from ..core.warmup import load_ahead, telling
 from ..version import __version__
+from .arguments import byte_count, crop_count, frame_range, number, path_count, resolution, seed_number, thread_count
 from .last_words import last_words
 from .streams import say
 
 if TYPE_CHECKING:
     from ..core.files.report import Report
-    from ..lipac_addon.batch.engines.choices import DeviceChoice
     from ..lipac_addon.batch.job import Job
 
 MOST_LINES = 20  # of a kind that a command prints
@@ -38,7 +37,6 @@ HARDWARE = {
     "hybrid": "paths are traced on the CPU, and EEVEE is on the graphics card that the driver gives it",
     "path": "the path tracer is on the CPU",
 }
-LAST_FRAME = 1048574  # Blender's own limit
 
 
 class Parser(argparse.ArgumentParser):
@@ -86,87 +84,6 @@ def scene_parser(command: str, description: str) -> Parser:
     general.add_argument("--threads", type=thread_count, default=0, metavar="N", help="0: all cores (default)")
     general.add_argument("--quiet", action="store_true", help="no progress")
     return parser
-
-
-def frame_range(text: str) -> tuple[int, ...]:
-    """Frames of 'A-B' or 'A'. Raises ArgumentTypeError."""
-    found = re.fullmatch(r"(\d+)(?:-(\d+))?", text.strip())
-    first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
-    if not first <= last <= LAST_FRAME:
-        raise argparse.ArgumentTypeError(f"'{text}' is no frame range: give A-B with A not after B, for example 1-24")
-    return tuple(range(first, last + 1))
-
-
-def resolution(text: str) -> tuple[int, int]:
-    """Width and height of 'WxH'. Raises ArgumentTypeError."""
-    found = re.fullmatch(r"(\d+)x(\d+)", text.strip().lower())
-    if not found or not all(4 <= int(n) <= 65536 for n in found.groups()):
-        raise argparse.ArgumentTypeError(f"'{text}' is no resolution: give WxH in pixels, 4 to 65536 each, for example 1920x1080")
-    return int(found[1]), int(found[2])
-
-
-def number(text: str) -> float:
-    """A number that is finite and not negative. Raises ArgumentTypeError."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number from 0 up")
-    return value
-
-
-def count(text: str, most: int = 2**31 - 1, least: int = 1) -> int:
-    """A whole number from least to most. Raises ArgumentTypeError."""
-    if not text.isdecimal() or len(text) > 19 or not least <= int(text) <= most:
-        raise argparse.ArgumentTypeError(f"'{text[:40]}' is not a whole number from {least} to {most:,}")
-    return int(text)
-
-
-def sample_count(text: str) -> int:
-    """Samples per pixel: as many as Cycles takes. Raises ArgumentTypeError."""
-    return count(text, 2**24)
-
-
-def path_count(text: str) -> int:
-    """Paths per pixel of an analysis, each of which takes 64 bytes. Raises ArgumentTypeError."""
-    return count(text, 4096)
-
-
-def seed_number(text: str) -> int:
-    """A seed. Raises ArgumentTypeError."""
-    return count(text, 2**31 - 1, 0)
-
-
-def thread_count(text: str) -> int:
-    """A number of threads; 0: all. Raises ArgumentTypeError."""
-    return count(text, 1024, 0)
-
-
-def crop_count(text: str) -> int:
-    """A number of crops. Raises ArgumentTypeError."""
-    if not text.isdecimal() or not 1 <= int(text) <= 12:
-        raise argparse.ArgumentTypeError(f"'{text}' is no number of parts of a picture: give 1 to 12")
-    return int(text)
-
-
-def device(text: str) -> DeviceChoice:
-    """Where Cycles renders, of 'KIND' or 'KIND:CARD,CARD'. Raises ArgumentTypeError."""
-    from ..lipac_addon.batch.engines.choices import DEVICES, DeviceChoice
-
-    try:
-        return DeviceChoice.parse(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"'{text}' is no device: give one of {', '.join(DEVICES)}, or cards of a kind, for example optix:0,1") from error
-
-
-def byte_count(text: str) -> int:
-    """Bytes of '2G', '500M', '64k' or '1000000': powers of 1000, or of 1024 with an i, as in '2Gi'. Raises ArgumentTypeError."""
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?", text.strip().lower())
-    size = float(found[1]) * (1024 if found[3] else 1000) ** " kmgt".index(found[2] or " ") if found else 0.0
-    if not found or (found[3] and not found[2]) or not 1 <= size < 2**63:
-        raise argparse.ArgumentTypeError(f"'{text}' is no size: give a number of bytes, or one with k, M or G, for example 500M or 2G")
-    return int(size)
 
 
 @contextmanager
@@ -279,14 +196,19 @@ def check(args: argparse.Namespace) -> None:
         raise InputError("--enforce acts on what --verify measures: give both")
     if args.enforce and (args.cull != "light-paths" or args.min_share is not None or args.warm):
         raise InputError("--enforce keeps to --max-error: it goes with --cull light-paths, without --min-share and --warm")
-    if getattr(args, "device", None) is not None and args.engine != "cycles":
-        raise InputError(f"--device chooses where Cycles renders; {HARDWARE[args.engine]}")
+    check_device(args)
     if args.verify and args.cull == "none":
         raise InputError("--verify measures what culling changes: with --cull none nothing does")
     if args.scene is not None and not args.scene.exists():
         raise InputError(f"no such file: {args.scene}")
     cull_options(args)
     output_folder(args.output)
+
+
+def check_device(args: argparse.Namespace) -> None:
+    """Raise InputError where a device is chosen for an engine that has no choice."""
+    if getattr(args, "device", None) is not None and args.engine != "cycles":
+        raise InputError(f"--device chooses where Cycles renders; {HARDWARE[args.engine]}")
 
 
 def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = None, hybrid: dict[str, Any] | None = None, save: Path | None = None) -> Report:
@@ -300,6 +222,7 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
         with muted():
             import bpy
         from ..lipac_addon.batch.baked import check_target
+        from ..lipac_addon.batch.engines.as_scene import engine_of
         from ..lipac_addon.batch.engines.choices import AS_SET, BLENDER_ENGINES
         from ..lipac_addon.batch.engines.hybrid_frame import HybridOptions
         from ..lipac_addon.batch.job import Job
@@ -326,8 +249,12 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
             use_camera(scene, args.camera)
         if scene.camera is None:
             raise InputError(f"scene '{scene.name}' has no camera: add one and make it active, or use --camera {AUTO} to frame everything")
+        as_scene = getattr(args, "as_scene", False)
+        if as_scene:
+            args.engine = engine = engine_of(scene)
+            check_device(args)
         frames, mixed = args.frames or (scene.frame_current,), HybridOptions(**(hybrid or {}))
-        more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify, args.enforce, getattr(args, "device", None) or AS_SET)
+        more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify, args.enforce, getattr(args, "device", None) or AS_SET, as_scene)
         job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more)
         report = new_report(args, job)
         report.began = began()
@@ -368,6 +295,8 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     options: dict[str, Any] = {name: value for name, value in dataclasses.asdict(job.options).items() if name not in ("threads", "seed", "policy")}
     options |= {"resolution": [scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage], "camera": args.camera or ""}
     options |= {"samples": job.samples, "bake": job.bake, "warm": job.warm, "file": digest(Path(path), *linked_files()) if path else ""}
+    if job.as_scene:
+        options["as_scene"] = True
     if job.device != AS_SET:
         options["device"] = str(job.device)
     if job.engine == "hybrid":

@@ -7,13 +7,17 @@ from collections.abc import Sequence
 
 def main(argv: Sequence[str]) -> int:
     """Write a picture and the states of each frame, and report.json; returns the exit status."""
+    from ..core.errors import InputError
     from ..core.hybrid.modes import MODES
     from ..lipac_addon.batch.engines.choices import ENGINES
-    from .options import device, do_frames, sample_count, scene_parser
+    from .arguments import device, sample_count
+    from .options import do_frames, scene_parser
 
     parser = scene_parser("render", "Cull a scene by its light paths and render it: pictures, states per frame and report.json.")
-    engines = "default: %(default)s; path: the path tracer of the analysis; hybrid: EEVEE and it together"
-    parser.add_argument("--engine", choices=ENGINES, default="cycles", help=engines)
+    engines = "default: cycles; path: the path tracer of the analysis; hybrid: EEVEE and it together"
+    parser.add_argument("--engine", choices=ENGINES, help=engines)
+    scene = "render by the scene's own engine to its own files, as blender -b -f does: format, passes, layers, views, compositor, region; DIR gets the report"
+    parser.add_argument("--as-scene", action="store_true", help=scene)
     parser.add_argument("--samples", type=sample_count, metavar="N", help="per pixel (default: the scene's)")
     where = "where Cycles renders: auto (default: as the file and the preferences say), cpu, cuda, optix, hip, oneapi or metal; cards by number or name"
     parser.add_argument("--device", type=device, metavar="KIND[:CARD,...]", help=where)
@@ -23,6 +27,11 @@ def main(argv: Sequence[str]) -> int:
     hybrid.add_argument("--denoise", choices=("on", "off"), default="on", help="of the traced light (default: %(default)s)")
     hybrid.add_argument("--raster-samples", type=sample_count, default=8, metavar="N", help="EEVEE's samples per pixel (default: %(default)s)")
     args = parser.parse_args(argv)
+    if args.as_scene and args.engine:
+        raise InputError("--as-scene renders by the engine that the scene is set to: leave --engine out")
+    if args.as_scene and args.enforce:
+        raise InputError("--enforce renders frames again, and --as-scene writes the scene's own files: give one of them")
+    args.engine = args.engine or "cycles"
     options = {"gi": args.gi, "primary": args.primary, "denoise": args.denoise == "on", "raster_samples": args.raster_samples}
     return int(do_frames(args, args.engine, args.samples, options).status)
 

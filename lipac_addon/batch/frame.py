@@ -23,7 +23,8 @@ from ..extract import Extraction
 from ..keys import Keys
 from .deciding import Decided, decide_layers, decided_of
 from .enforcing import ENFORCED, broken, measured, tightened, verified
-from .engines.blender import render_blender
+from .engines.as_scene import render_as_scene
+from .engines.blender import Rendered, render_blender
 from .engines.choices import BLENDER_ENGINES
 from .engines.counting import counting
 from .engines.hybrid_frame import render_hybrid
@@ -87,7 +88,7 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
                 session.close()  # the render needs the memory
             gc.collect()
             rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
-            entry |= render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, rest, device=job.device).entry()
+            entry |= render(job, frame, rest).entry()
             entry |= verified(job, None, None, rest, cancelled)
             return Outcome(entry, approximated, warnings)
         return Outcome(entry, decided.approximated, warnings)
@@ -138,12 +139,18 @@ def hybrid(
     return result
 
 
+def render(job: Job, frame: int, progress: Progress) -> Rendered:
+    """Have Blender render the open file's current frame, as it is now."""
+    if job.as_scene:
+        return render_as_scene(job.engine, frame, job.samples, job.threads, progress, job.device)
+    return render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, progress, device=job.device)
+
+
 def _render_whole(job: Job, frame: int, progress: Progress) -> dict[str, Any]:
     """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed. Returns the entry for the report."""
     show_frame(bpy.context.scene, frame)
     with counting() as counted:
-        within = part(progress, 0.0, 1.0, "rendering, ")
-        rendered = render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, within, device=job.device)
+        rendered = render(job, frame, part(progress, 0.0, 1.0, "rendering, "))
     n = len(counted.keys.records)
     nothing = np.zeros((n, RAY_TYPES), np.int64)
     save_states(job.states(frame), np.full(n, State.ACTIVE, np.uint8), np.zeros(n, np.float32), nothing, counted.keys.records, counted.keys.names)

@@ -6,10 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import bpy
+
 from ...core.culling.options import CullOptions
 from ...core.culling.policies import NOTHING
 from ...core.errors import Cancelled
 from ...core.files.atomic import is_whole
+from .engines.as_scene import files_of
 from .engines.choices import AS_SET, BLENDER_ENGINES, DeviceChoice
 from .engines.hybrid_frame import HybridOptions
 
@@ -37,7 +40,7 @@ class Job:
     what that kept as long as it is worth something (hysteresis); else frames decide by themselves, and ranges can be split. shot: the frames that a set is for,
     where `frames` are a part of them; other processes may do other parts into the same folder. verify: how many crops to render full as well, to state
     the error that was measured (`verify`). enforce: where that breaks the budget, analyse again with a tighter one, and in the end keep everything.
-    device: where Cycles renders.
+    device: where Cycles renders. as_scene: by the engine that the open scene is set to, which `engine` names, to its own files, all of its output included.
     """
 
     folder: Path
@@ -56,6 +59,7 @@ class Job:
     verify: int = 0
     enforce: bool = False
     device: DeviceChoice = AS_SET
+    as_scene: bool = False
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""
@@ -71,6 +75,8 @@ class Job:
 
     def pictures(self, frame: int) -> list[Path]:
         """All pictures of a frame."""
+        if self.as_scene:
+            return files_of(bpy.context.scene, frame)
         stem = self.stem(frame)
         endings = [] if not self.engine else [".exr", ".png"]
         return [stem.with_name(stem.name + end) for end in [*endings, *(["_layers.exr"] if self.engine == "hybrid" else [])]]

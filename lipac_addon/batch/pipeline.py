@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 
 import bpy
 
+from ...core.culling.policies import NOTHING
 from ...core.files.atomic import alone, sweep
 from ...core.files.report import Report
 from ...core.progress import Progress, part, silent
@@ -19,6 +21,8 @@ from .job import SHOT, Cancel, Job, check, never
 from .session import sessions_of
 from .shot import run_shot
 
+STEREO = "stereo: each view sees something else, and one camera is analysed: nothing is culled"
+
 
 def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel = never) -> None:
     """Work through the frames of a job; the report on disk is valid after each. Visibility in the open file is put back at the end, whatever happens.
@@ -29,7 +33,10 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     reported = report.finished(job.folder)
     finished = {frame for frame in reported or () if job.resume and job.is_finished(frame)}
     _sweep(job, keep_analyses=reported is not None and (job.resume or bool(job.shot)))
-    report.note(report.approximated, left_out(bpy.context.scene, job.engine))
+    report.note(report.approximated, left_out(bpy.context.scene, job.engine, job.as_scene))
+    if job.as_scene and bpy.context.scene.render.use_multiview and not job.whole:
+        job = replace(job, options=replace(job.options, policy=NOTHING))
+        report.note(report.warnings, [STEREO])
     if job.engine == "cycles" and (note := find_device(bpy.context.scene, job.device).note):
         report.note(report.warnings, [note])
     if reported is not None or not (job.folder / "report.json").exists():  # else what is there stays until there is something to say

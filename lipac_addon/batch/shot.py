@@ -17,10 +17,9 @@ from ...core.scene.model import RAY_TYPES
 from ..depsgraph import show_frame
 from .baked import save_baked
 from .deciding import decide_layers
-from .engines.blender import render_blender
 from .engines.choices import BLENDER_ENGINES
 from .engines.path import render_path
-from .frame import ANALYSIS_SHARE, hybrid, write_back
+from .frame import ANALYSIS_SHARE, hybrid, render, write_back
 from .job import Cancel, Job, check
 from .session import Session, sessions_of
 from .shot_set import ShotSet
@@ -63,7 +62,7 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
             if job.engine in BLENDER_ENGINES:
                 show_frame(bpy.context.scene, frame)
                 entry |= {**written, "writeback_s": written["writeback_s"] / len(job.frames)}
-                entry |= render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, within, device=job.device).entry()
+                entry |= render(job, frame, within).entry()
             elif job.engine:
                 _render_kept(session, frame, active, entry, within, cancelled)
             state = np.where(active, State.ACTIVE, State.CULLED).astype(np.uint8)

@@ -28,7 +28,8 @@ def main(argv: Sequence[str]) -> int:
     from pathlib import Path
 
     from ...core.warmup import load_ahead, telling
-    from ..options import Parser, ctrl_c, frame_range, progress_of, thread_count
+    from ..arguments import frame_range, thread_count
+    from ..options import Parser, ctrl_c, progress_of
 
     steps = "; ".join(f"{name}: {what}" for name, what in STEPS.items())
     parser = Parser(prog="lipac shot", description=f"Do a step of a shot. {steps}. What is there already, made from the same, is left alone.")

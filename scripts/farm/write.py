@@ -17,7 +17,8 @@ def main(argv: Sequence[str]) -> int:
     """Write the job; returns the exit status."""
     from pathlib import Path
 
-    from ..options import Parser, count, ctrl_c, frame_range, path_count, progress_of, resolution, sample_count, seed_number
+    from ..arguments import count, frame_range, path_count, resolution, sample_count, seed_number
+    from ..options import Parser, ctrl_c, progress_of
 
     parser = Parser(prog="lipac farm", description="Describe a shot as a job: analyse its frames, unite, render, verify a sample, certify.")
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help=".blend; inside Blender: the open file")

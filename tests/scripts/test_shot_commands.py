@@ -14,8 +14,8 @@ import pytest
 
 from lipac.core.files.report import load_states
 from lipac.lipac_addon.pictures import read_picture
+from lipac.scripts.arguments import byte_count
 from lipac.scripts.lipac import main
-from lipac.scripts.options import byte_count
 
 from ..lipac_addon.conftest import ground_and_boxes
 from ..processes import INTERRUPTIBLE

@@ -20,7 +20,7 @@ from ...console import muted
 from ...depsgraph import changed, rendered_layers
 from ...pictures import save_render_result, saved_as
 from .choices import AS_SET, BLENDER_ENGINES, DeviceChoice
-from .devices import eevee_device, on_device
+from .devices import Device, eevee_device, on_device
 from .wishes import samples_of
 
 _SAMPLE = re.compile(r"(\d+)\s*/\s*(\d+)")
@@ -62,16 +62,25 @@ def render_blender(
     if not rendered_layers(scene):
         raise InputError(f"scene {scene.name!r}: no view layer is used for rendering; switch one on")
     where = on_device(scene, device) if engine == "cycles" else nullcontext()
-    with _render_settings(scene, engine, samples, seed, threads, border), where as used, _no_file_outputs(), _stats(progress) as told:
+    with _render_settings(scene, engine, samples, seed, threads, border), where as used, _no_file_outputs():
+        rendered = rendered_by(engine, used, progress)
+    with muted():
+        save_render_result(scene, stem)
+    return rendered
+
+
+def rendered_by(engine: str, used: Device | None, progress: Progress, animation: bool = False) -> Rendered:
+    """Have Blender render the open scene as it is now set, and say what that took. used: the device, None for EEVEE's. animation: the frames of its range, to
+    its own files. Raises InputError where Blender cannot."""
+    scene = bpy.context.scene
+    with _stats(progress) as told:
         start = told.start = time.perf_counter()
         try:
             with muted(), _ctrl_c_ends_the_process():
-                bpy.ops.render.render(scene=scene.name)
+                bpy.ops.render.render(animation=animation, scene=scene.name)
         except RuntimeError as error:
             raise InputError(f"{engine} cannot render the scene: {str(error).removeprefix('Error:').strip()}") from error
         seconds = time.perf_counter() - start
-    with muted():
-        save_render_result(scene, stem)
     return Rendered(seconds, eevee_device() if used is None else str(used), told.first_sample_s, told.device_bytes)
 
 

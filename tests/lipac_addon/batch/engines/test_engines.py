@@ -107,3 +107,19 @@ def test_left_out(boxes):
     named = {engine: [line.partition(":")[0] for line in left_out(boxes, engine)] for engine in ("", "cycles", "hybrid", "path")}
     ours = ["render region", "view layers", "motion blur", "compositing"]
     assert named == {"": [], "cycles": ["render region"], "hybrid": ours, "path": ours}
+
+
+def test_output_that_is_left_out_is_said(boxes):
+    """In one line, which names the way to have it; with that, nothing is left out. What a scene does not ask for, or has muted, is not named."""
+    tree = boxes.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
+    files = [tree.nodes.new("CompositorNodeOutputFile") for _ in range(3)]
+    files[0].mute = True
+    boxes.render.image_settings.media_type, boxes.render.image_settings.file_format = "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER"
+    boxes.render.use_stamp = True
+    said = "output: pictures are .exr and .png; left out: passes in multilayer OpenEXR, 2 File Output nodes of the compositor, text burnt into the picture"
+    assert left_out(boxes, "cycles") == [said + "; --as-scene writes all of it"]
+    assert left_out(boxes, "path")[0] == said
+    assert left_out(boxes, "cycles", as_scene=True) == left_out(boxes, "") == []
+    boxes.render.use_compositing = boxes.render.use_stamp = False
+    boxes.render.image_settings.media_type, boxes.render.image_settings.file_format = "VIDEO", "FFMPEG"
+    assert left_out(boxes, "eevee")[0] == "output: pictures are .exr and .png; left out: the film"
