@@ -165,7 +165,7 @@ def write_back(culled: np.ndarray, keys: Keys, entry: dict[str, Any], faces: Map
     """
     start = time.perf_counter()
     with muted():
-        applied = writeback.apply(culled, keys, lasting=lasting, faces=faces)
+        applied = writeback.apply(culled, keys, lasting=lasting, faces=faces, free=True)
     entry["writeback_s"] = time.perf_counter() - start
     entry["writeback"] = applied.summary()
     whole = [f"{count:,} objects keep all faces in the render: {why}" for why, count in applied.whole.items()]

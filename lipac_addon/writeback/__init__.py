@@ -5,10 +5,11 @@
 - `hide_render` of an object, where that takes away culled instances only;
 - a mask modifier on geometry-nodes hosts, which removes single instances;
 - the render switch of particle systems, as a whole;
-- a face modifier on objects of which parts are culled.
+- a face modifier on objects of which parts are culled;
+- and where asked to, objects that only culled instances show are emptied, so that their images, meshes and modifiers cost nothing.
 
-Read in the order of use: `references` (who instances whom), `plan` (which means for which instance), `marks` (the record kept in the .blend), `mask` and
-`faces` (the modifiers). Nothing here affects the viewport, and nothing is written to disk.
+Read in the order of use: `references` (who instances whom), `sources` (what else looks at what is instanced), `plan` (which means for which instance), `marks`
+(the record kept in the .blend), `mask` and `faces` (the modifiers), `emptying`. Only the last affects the viewport, and nothing is written to disk.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from numpy.typing import NDArray
 
 from ...core.arrays import F32
 from ..keys import Keys
+from . import emptying, marks, mask
 from . import faces as face_mask
-from . import marks, mask
 from .plan import EMPTY, Plan, full_name, make_plan
 
 __all__ = ["WritebackResult", "apply", "restore"]
@@ -35,7 +36,7 @@ class WritebackResult:
 
     removed: (N,) bool, the culled instances that a render no longer meets.
     kept: culled instances that could not be removed, counted by the reason.
-    objects, hosts, particle_hosts: numbers of hidden objects, of masked geometry-nodes hosts, of emitters switched off.
+    objects, hosts, particle_hosts, sources: numbers of hidden objects, of masked geometry-nodes hosts, of emitters switched off, of objects emptied.
     face_hosts, faces_removed: numbers of objects that lost faces, and of these; whole: objects that should have, counted by the reason.
     """
 
@@ -47,6 +48,7 @@ class WritebackResult:
     face_hosts: int
     faces_removed: int
     whole: dict[str, int]
+    sources: int
 
     def summary(self) -> dict[str, object]:
         """For the report: plain numbers."""
@@ -59,6 +61,7 @@ class WritebackResult:
             "face_hosts": self.face_hosts,
             "faces_removed": self.faces_removed,
             "whole": dict(self.whole),
+            "emptied_sources": self.sources,
         }
 
 
@@ -71,6 +74,7 @@ def apply(
     lasting: bool = False,
     in_render: bool = False,
     faces: Mapping[str, NDArray[np.bool_]] = EMPTY,
+    free: bool = False,
 ) -> WritebackResult:
     """Remove culled instances from renders of the open file.
 
@@ -78,7 +82,8 @@ def apply(
     places: by the full name of an object that instances by geometry nodes, (R, 3) where its rows are, in its own space. A row is then culled only while the
     instance of its number is there: what an edit numbers anew is not taken for others. Not for objects that move their instances over the frames.
     scene: the one that was analysed, None: the open one. lasting: it is to be saved, or undone, neither of which Blender does for directly linked objects: they
-    stay. in_render: a handler of a render calls.
+    stay. in_render: a handler of a render calls. free: empty the sources of which nothing stays, too, which the viewport shows; not together with places, by
+    which what is culled may come back.
     faces: by the full name of an object, (F,) bool, those faces of its mesh that stay, behind all its modifiers; of other objects all do.
     What an earlier call did is taken back first, so calling twice is as calling once. All or nothing: where something fails, what was done is taken back.
     Raises ValueError where the lengths differ.
@@ -86,7 +91,7 @@ def apply(
     if len(culled) != len(keys.records):
         raise ValueError(f"{len(culled)} states for {len(keys.records)} instances")
     restore(in_render)
-    plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render, faces)
+    plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render, faces, free and not places)
     try:
         _write(plan, places or {}, in_render)
     except BaseException:
@@ -94,7 +99,7 @@ def apply(
         raise
     emitters = len({e.name_full for e, _ in plan.particle_modifiers})
     cut = len(plan.faces), sum(int(np.count_nonzero(gone)) for _, gone in plan.faces)
-    return WritebackResult(plan.removed, plan.kept, len(plan.objects), len(plan.masks), emitters, *cut, plan.whole)
+    return WritebackResult(plan.removed, plan.kept, len(plan.objects), len(plan.masks), emitters, *cut, plan.whole, len(plan.sources))
 
 
 def restore(in_render: bool = False) -> bool:
@@ -103,13 +108,15 @@ def restore(in_render: bool = False) -> bool:
     Exact: values, active modifiers, and no data-block or custom property left over. What a user changed since stays as the user set it.
     """
     found = mask.remove_all()
+    found |= emptying.fill_all()
     return marks.take_back(in_render) or found
 
 
 def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:
     """Marks first: whatever fails afterwards can be found and taken back."""
     hidden, off = ((ob, marks.HIDDEN) for ob in plan.objects), ((ob, marks.particles(ob.modifiers[name])) for ob, name in plan.particle_modifiers)
-    marks.write([*hidden, *off, *((host, marks.MASKED) for host, _ in (*plan.masks, *plan.faces))])
+    emptied = ((ob, word) for ob in plan.sources for word in emptying.words(ob))
+    marks.write([*hidden, *off, *((host, marks.MASKED) for host, _ in (*plan.masks, *plan.faces)), *emptied])
     marks.set_hidden(list(plan.objects), True, in_render)
     for emitter, modifier in plan.particle_modifiers:
         emitter.modifiers[modifier].show_render = False
@@ -117,3 +124,4 @@ def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:
         mask.add(host, rows, places.get(full_name(host)))
     for ob, gone in plan.faces:
         face_mask.add(ob, gone)
+    emptying.empty(plan.sources)

@@ -4,7 +4,8 @@ The mark lives and travels with what it speaks of: it survives saving, loading, 
 too). Blender saves no custom property that is added to a library override: the marks of these are on an object of our own, which points to them.
 
 A mark is a list of words: `HIDDEN` for the object's own switch, `PARTICLES` and a number for the render switch of the modifier with that persistent number,
-`MASKED` for a mask modifier. All switches were on before, else they are not touched, so the old value needs no storing. A word that fits nothing does nothing.
+`MASKED` for a mask modifier, `EMPTIED` for a source that shows nothing (`emptying`), `MODIFIER` and a number for its modifiers. All switches were on before,
+else they are not touched, so the old value needs no storing. A word that fits nothing does nothing.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ KEY = "lipac_writeback"
 HIDDEN = "hide_render"
 PARTICLES = "particles:"
 MASKED = "masked"
+EMPTIED = "emptied"
+MODIFIER = "modifier:"
+_WORDS = {HIDDEN, MASKED, EMPTIED}
 _RECORD = "overrides"  # the mark of the object that bears those of library overrides; also the name of its list
 _NAME = "LiPaC overrides"
 
@@ -29,7 +33,7 @@ def all_marks() -> Words:
     found: Words = {}
     for ob in bpy.data.objects:
         value = ob.get(KEY)
-        if isinstance(value, str) and (words := [word for word in value.split("\n") if word in {HIDDEN, MASKED} or word.startswith(PARTICLES)]):
+        if isinstance(value, str) and (words := [word for word in value.split("\n") if word in _WORDS or word.startswith((PARTICLES, MODIFIER))]):
             found[ob] = words
         elif _is_record(ob):
             for entry in ob[_RECORD]:
@@ -62,7 +66,10 @@ def take_back(in_render: bool = False) -> bool:
     found = all_marks()
     for ob, words in found.items():
         for modifier in ob.modifiers:
-            if modifier.type == "PARTICLE_SYSTEM" and {particles(modifier), PARTICLES + modifier.name}.intersection(words):  # earlier versions went by names
+            own = {f"{MODIFIER}{modifier.persistent_uid}"}
+            if modifier.type == "PARTICLE_SYSTEM":
+                own |= {particles(modifier), PARTICLES + modifier.name}  # earlier versions went by names
+            if own.intersection(words):
                 modifier.show_render = True
     set_hidden([ob for ob, words in found.items() if HIDDEN in words], False, in_render)
     for ob in found:

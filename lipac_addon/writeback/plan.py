@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from ...core.arrays import Records
 from ..keys import Keys, Kind
+from .emptying import can_be_emptied
 from .references import References, instances_others, is_animated, scenes_in_picture, simulates, takes_modifiers
+from .sources import unread
 
 Mask = NDArray[np.bool_]
 EMPTY: Mapping[str, Mask] = MappingProxyType({})
@@ -44,7 +46,7 @@ _BY_KIND = {Kind.OBJECT: SHARED, Kind.COLLECTION: PART, Kind.GEOMETRY_NODES: NES
 
 @dataclass(frozen=True)
 class Plan:
-    """objects: to hide; masks: hosts and (R,) bool rows to delete; particle_modifiers: emitters and modifier names to switch off.
+    """objects: to hide; masks: hosts and (R,) bool rows to delete; particle_modifiers: emitters and modifier names to switch off; sources: objects to empty.
 
     faces: objects and (F,) bool faces to delete. removed: (N,) bool, the instances that go; kept: culled ones that stay, by reason; whole: objects that keep
     all faces, by reason.
@@ -53,17 +55,26 @@ class Plan:
     objects: tuple[bpy.types.Object, ...]
     masks: tuple[tuple[bpy.types.Object, Mask], ...]
     particle_modifiers: tuple[tuple[bpy.types.Object, str], ...]
+    sources: tuple[bpy.types.Object, ...]
     faces: tuple[tuple[bpy.types.Object, Mask], ...]
     removed: Mask
     kept: dict[str, int]
     whole: dict[str, int]
 
 
-def make_plan(culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool = False, in_render: bool = False, faces: Mapping[str, Mask] = EMPTY) -> Plan:
-    """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render, faces: as of `apply`."""
+def make_plan(
+    culled: Mask,
+    keys: Keys,
+    scene: bpy.types.Scene,
+    lasting: bool = False,
+    in_render: bool = False,
+    faces: Mapping[str, Mask] = EMPTY,
+    free: bool = False,
+) -> Plan:
+    """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render, faces, free: as of `apply`."""
     if not culled.any() and not faces:
-        return Plan((), (), (), (), np.zeros(len(culled), bool), {}, {})
-    return _Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan(faces)
+        return Plan((), (), (), (), (), np.zeros(len(culled), bool), {}, {})
+    return _Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan(faces, free)
 
 
 @dataclass(frozen=True)
@@ -130,14 +141,15 @@ class _Planner:
         self.object_reason: dict[int, str] = {}  # name index: why the object cannot be hidden
         self.host_reason: dict[int, str] = {}  # name index: why the host cannot be masked or switched off
 
-    def plan(self, faces: Mapping[str, Mask]) -> Plan:
+    def plan(self, faces: Mapping[str, Mask], free: bool) -> Plan:
         hidden = self.hidden_objects()
         masks = tuple(self.masks(hidden))
         particles = tuple(self.particle_modifiers(hidden))
         self.removed &= self.culled
+        sources = tuple(self.sources()) if free else ()
         whole: Counter[str] = Counter()
-        cut = tuple(self.faces(faces, set(hidden.values()), whole))
-        return Plan(tuple(hidden.values()), masks, particles, cut, self.removed, self.kept(), dict(whole))
+        cut = tuple(self.faces(faces, {*hidden.values(), *sources}, whole))
+        return Plan(tuple(hidden.values()), masks, particles, sources, cut, self.removed, self.kept(), dict(whole))
 
     def hidden_objects(self) -> dict[int, bpy.types.Object]:
         """Objects to hide by their name index."""
@@ -245,6 +257,17 @@ class _Planner:
                 whole[reason or MISSING] += 1
             else:
                 yield ob, ~mask
+
+    def sources(self) -> list[bpy.types.Object]:
+        """Objects that something instances, and that no instance shows which stays: what they look like is of no use to anyone."""
+        count = np.bincount(self.columns.object[self.columns.object >= 0], minlength=len(self.names))
+        gone = count == np.bincount(self.columns.object[self.removed & (self.columns.object >= 0)], minlength=len(self.names))
+        stays = {self.found[name] for name, left in zip(self.names, gone, strict=True) if not left and name in self.found}
+        shown = [self.found.get(self.names[n]) for n in np.flatnonzero(gone & (count > 0))]
+        chosen = [ob for ob in shown if ob is not None and self.references.feeds(ob) and can_be_emptied(ob)]
+        chosen = [ob for ob in chosen if not simulates(ob) and not self.references.carries_more(ob) and self.any_change(ob) is None]
+        free = unread(ob for ob in chosen if stays.isdisjoint(self.references.instanced_by(ob)))
+        return [ob for ob in chosen if ob in free]
 
     def hosts(self, kind: Kind) -> Iterator[tuple[int, NDArray[np.int64]]]:
         """Name index and instance indices of each host of a kind."""

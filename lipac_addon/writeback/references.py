@@ -31,6 +31,7 @@ class References:
             for y in users[x]:
                 children.setdefault(y, []).append(x)
         self._users = users
+        self._of: dict[bpy.types.ID, list[bpy.types.ID]] | None = None
         self._used = _closure(roots, lambda x: children.get(x, ()))
         self._carriers = _closure([ob for ob in bpy.data.objects if _shows_more(ob)], lambda x: users.get(x, ()))
         particle_collections = [p.instance_collection for p in bpy.data.particles if p.render_type == "COLLECTION" and p.instance_collection]
@@ -54,6 +55,13 @@ class References:
         if block in self._used:
             return True
         return any(y in self._used or (isinstance(y, bpy.types.Object) and y != block) for y in self._users.get(block, ()))
+
+    def instanced_by(self, ob: bpy.types.Object) -> set[bpy.types.ID]:
+        """All that the object instances, at any depth, and itself."""
+        if self._of is None:
+            self._of = _used_by(self._users)
+        used = self._of
+        return _closure([ob], lambda x: used.get(x, ()))
 
     def in_instanced_collection(self, ob: bpy.types.Object | None) -> bool:
         """Whether some object instances a collection with this object."""
@@ -113,7 +121,7 @@ def _names(ob: bpy.types.Object, block: bpy.types.ID) -> bool:
     """Whether a modifier or a constraint of an object names a data-block."""
     things = (*ob.modifiers, *ob.constraints)
     own = (getattr(thing, p.identifier) for thing in things for p in thing.bl_rna.properties if p.type == "POINTER")
-    return any(value == block for value in own) or any(x == block for m in ob.modifiers if m.type == "NODES" for x in _inputs(m))
+    return any(value == block for value in own) or any(x == block for m in ob.modifiers if m.type == "NODES" for x in inputs_of(m))
 
 
 def takes_modifiers(ob: bpy.types.Object) -> bool:
@@ -206,14 +214,14 @@ def _instancing_users() -> dict[bpy.types.ID, set[bpy.types.ID]]:
     for ob in bpy.data.objects:
         for modifier in ob.modifiers:
             if modifier.type == "NODES":
-                for block in _inputs(modifier):
+                for block in inputs_of(modifier):
                     users.setdefault(block, set()).add(ob)
         if ob.parent is not None and ob.parent.instance_type in _DUPLI:
             users.setdefault(ob, set()).add(ob.parent)
     return users
 
 
-def _inputs(modifier: bpy.types.Modifier) -> Iterator[bpy.types.ID]:
+def inputs_of(modifier: bpy.types.Modifier) -> Iterator[bpy.types.ID]:
     """Objects and collections that are inputs of a geometry-nodes modifier."""
     if modifier.node_group is None:
         return
@@ -243,17 +251,22 @@ def _shown_in(scenes: Iterable[bpy.types.Scene], users: dict[bpy.types.ID, set[b
     tops = [ob for scene in scenes for ob in scene.collection.all_objects]
     if not tops:
         return set()
+    used = _used_by(users)
+    return _closure(tops, lambda x: used.get(x, ()))
+
+
+def _used_by(users: dict[bpy.types.ID, set[bpy.types.ID]]) -> dict[bpy.types.ID, list[bpy.types.ID]]:
     used: dict[bpy.types.ID, list[bpy.types.ID]] = {}
     for x, by in users.items():
         for y in by:
             used.setdefault(y, []).append(x)
-    return _closure(tops, lambda x: used.get(x, ()))
+    return used
 
 
 def _read_by_drivers() -> set[bpy.types.ID]:
     """Data-blocks of which a driver reads whether they, or something of theirs, are rendered."""
     found: set[bpy.types.ID] = set()
-    for block in _animatable():
+    for block in animatable():
         data = block.animation_data
         for curve in data.drivers if data is not None else ():
             for target in (target for variable in curve.driver.variables for target in variable.targets):
@@ -277,7 +290,7 @@ def _owners(target: bpy.types.DriverTarget, path: str) -> Iterator[bpy.types.ID]
             yield thing.id_data
 
 
-def _animatable() -> Iterator[bpy.types.ID]:
+def animatable() -> Iterator[bpy.types.ID]:
     """All data-blocks of the file that may have drivers, node trees of materials and the like included."""
     for name in (p.identifier for p in bpy.data.bl_rna.properties if p.type == "COLLECTION"):
         for block in getattr(bpy.data, name):

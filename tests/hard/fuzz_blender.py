@@ -174,7 +174,7 @@ def snapshot() -> dict[str, Any]:
         if hasattr(bpy.data, name)
     }
     for item in (*bpy.data.objects, *bpy.data.collections, *bpy.data.scenes):
-        kept[repr(item)] = _plain(item)
+        kept[repr(item)] = _plain(item) | {"data": repr(getattr(item, "data", None))}
         for modifier in getattr(item, "modifiers", ()):
             kept[repr(modifier)] = _plain(modifier)
     for mesh in bpy.data.meshes:

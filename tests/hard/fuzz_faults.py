@@ -86,12 +86,12 @@ def interrupted(choose: Seeded, what: str) -> str:
             return "nothing to cull"
         one, other = (choose.numbers().random(len(keys.records)) < share for share in (0.5, 0.8))
         culled_before = what == "restore" or choose.integer(0, 1) == 1
-        do: Callable[[], object] = writeback.restore if what == "restore" else lambda: writeback.apply(other, keys)
+        do: Callable[[], object] = writeback.restore if what == "restore" else lambda: writeback.apply(other, keys, free=True)
 
         def begin() -> None:
             writeback.restore()
             if culled_before:
-                writeback.apply(one, keys)
+                writeback.apply(one, keys, free=True)
 
         begin()
         with raising(0, KeyboardInterrupt) as lines:

@@ -325,7 +325,11 @@ def snapshot() -> Callable[[], dict]:
             for block in getattr(bpy.data, name):
                 blocks[name, block.name_full] = plain(block) | {"custom": custom(block)}
         for ob in bpy.data.objects:
-            blocks["objects", ob.name_full]["modifiers"] = [plain(m) for m in ob.modifiers]
+            blocks["objects", ob.name_full] |= {
+                "modifiers": [plain(m) for m in ob.modifiers],
+                "data": None if ob.data is None else ob.data.name_full,
+                "slots": [(slot.link, slot.material and slot.material.name_full) for slot in ob.material_slots],
+            }
         return blocks
 
     return run

@@ -263,12 +263,13 @@ def extracted() -> tuple[Keys, np.ndarray]:
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.__name__)
-def test_cycles(row, stage, tmp_path):
+@pytest.mark.parametrize("free", [False, True])
+def test_cycles(row, free, stage, tmp_path):
     stage(row)
     keys, away = extracted()
     full = pictures(tmp_path, "CYCLES")
     assert any(len(np.unique(channel)) > 20 for name, channel in full.items() if name.endswith("Combined.R"))
-    result = apply(away, keys)
+    result = apply(away, keys, free=free)
     assert (result.removed == away).all()
     assert result.removed.any()
     assert differing(full, pictures(tmp_path, "CYCLES")) == []
@@ -303,5 +304,5 @@ def test_eevee(row, stage, tmp_path):
     keys, away = extracted()
     pictures(tmp_path, "BLENDER_EEVEE", (True,))  # the first one in a process differs from all later ones
     full = pictures(tmp_path, "BLENDER_EEVEE", (True,))
-    assert (apply(away, keys).removed == away).all()
+    assert (apply(away, keys, free=True).removed == away).all()
     assert differing(full, pictures(tmp_path, "BLENDER_EEVEE", (True,))) == []
