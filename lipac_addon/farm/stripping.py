@@ -7,20 +7,21 @@ from typing import Any
 
 import bpy
 
-from ..writeback.marks import HIDDEN, all_marks
+from ..writeback.emptying import drop_kept
+from ..writeback.marks import EMPTIED, HIDDEN, MODIFIER, all_marks
 
 # Kept by a fake user alone, these are nothing to a render
 _FAKE = ("meshes", "curves", "materials", "images", "node_groups", "textures", "armatures", "actions", "objects", "collections")
 
 
 def strip() -> int:
-    """Remove from the open file what write-back has hidden and nothing else refers to, with its data; returns how many objects went. Restore does not bring
-    them back.
+    """Remove from the open file what write-back has hidden and nothing else refers to, with its data, and the data of what it has emptied; returns how many
+    objects went. Restore does not bring any of it back.
 
     An object stays where anything but collections and scenes uses it, a constraint, a driver or a child that stays, for example; or one of its collections is
     instanced, or read by nodes, for what these show may go by the places of objects in it.
     """
-    hidden = {ob for ob, words in all_marks().items() if words == [HIDDEN] and ob.library is None and ob.override_library is None}
+    hidden = {ob for ob, words in all_marks().items() if HIDDEN in words and all(map(_of_itself, words)) and ob.library is None and ob.override_library is None}
     picked = _used_collections()
     users = bpy.data.user_map(subset=hidden) if hidden else {}
     going = {ob for ob in hidden if not picked & set(ob.users_collection)}
@@ -30,9 +31,15 @@ def strip() -> int:
             break
         going -= staying
     bpy.data.batch_remove(going)
+    drop_kept()
     _drop_fakes(_FAKE)
     bpy.data.orphans_purge(do_local_ids=True, do_linked_ids=True, do_recursive=True)
     return len(going)
+
+
+def _of_itself(word: str) -> bool:
+    """Whether a mark speaks of nothing that the object does to others."""
+    return word in (HIDDEN, EMPTIED) or word.startswith(MODIFIER)
 
 
 def _lets_go(user: bpy.types.ID, ob: bpy.types.Object, going: set[bpy.types.Object]) -> bool:

@@ -60,6 +60,13 @@ def fill_all() -> bool:
     return bool(emptied or unused)
 
 
+def drop_kept() -> None:
+    """Let go of what emptied objects had: nothing puts it back any more."""
+    for ob in bpy.data.objects:
+        if _KEPT in ob:
+            del ob[_KEPT]
+
+
 def _exchange(ob: bpy.types.Object, stand_in: bpy.types.ID) -> None:
     ob[_KEPT] = ob.data
     ob.data = stand_in

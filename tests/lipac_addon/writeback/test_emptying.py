@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 import pytest
 
+from lipac.lipac_addon.farm.stripping import strip
 from lipac.lipac_addon.writeback import apply, emptying, restore
 from lipac.tests.lipac_addon.writeback.conftest import collection, empty, link, points, scatter, triangle
 
@@ -313,6 +314,18 @@ def test_cycles_statistics(free):
     images = done.stdout.partition("Image statistics")[2].partition("Kernel statistics")[0]
     assert "  seen " in images
     assert (" unseen " in images) != free
+
+
+def test_a_culled_file_for_a_farm(new_file, census_keys):
+    """It does not carry what emptied objects had."""
+    picked()
+    keys, _ = census_keys()
+    apply(of_unseen(keys), keys, lasting=True, free=True)
+    strip()
+    assert {"seen", "unseen"} & {mesh.name for mesh in bpy.data.meshes} == {"seen"}
+    assert "unseen" not in bpy.data.images
+    restore()
+    assert not bpy.data.objects["unseen"].data.vertices
 
 
 def test_nothing_where_places_decide(new_file, census_keys):
