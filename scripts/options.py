@@ -255,7 +255,8 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
             check_device(args)
         frames, mixed = args.frames or (scene.frame_current,), HybridOptions(**(hybrid or {}))
         more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify, args.enforce, getattr(args, "device", None) or AS_SET, as_scene)
-        job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more)
+        ahead = ahead_arguments(args, bool(bpy.app.module))
+        job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more, ahead)
         report = new_report(args, job)
         report.began = began()
         if args.resume and (others := report.other_options(args.output)):
@@ -270,6 +271,34 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
         if len(lines) > MOST_LINES:
             say(f"{kind}: {len(lines) - MOST_LINES} more, in {args.output / 'report.json'}", sys.stderr)
     return report
+
+
+def ahead_arguments(args: argparse.Namespace, alone: bool) -> tuple[str, ...]:
+    """What `lipac analyze` is to be told so that it decides in another process as this command would; none where it should not, or cannot.
+
+    alone: Blender is a module of this Python, not a program that has it.
+    """
+    wanted = getattr(args, "ahead", False)
+    if args.scene is None or not alone or wanted is False or args.cull != LIGHT_PATHS or args.bake != "frame" or args.enforce:
+        return ()
+    if wanted is None and not _off_the_cpu(args):
+        return ()
+    said = {"resolution": args.resolution and "{}x{}".format(*args.resolution), "blas-budget": args.blas_budget, "threads": args.threads, "seed": args.seed}
+    said |= {name.replace("_", "-"): getattr(args, name) for name in ("camera", "max_error", "min_share", "paths")}
+    flags = [f"--{name}" for name in ("warm", "no-mitigation") if getattr(args, name.replace("-", "_"))]
+    return str(args.scene), *flags, *(text for name, value in said.items() if value is not None for text in (f"--{name}", str(value)))
+
+
+def _off_the_cpu(args: argparse.Namespace) -> bool:
+    """Whether the command renders on a graphics card."""
+    import bpy
+
+    from ..lipac_addon.batch.engines.choices import AS_SET, CPU
+    from ..lipac_addon.batch.engines.devices import find_device
+
+    if args.engine != "cycles":
+        return bool(args.engine == "eevee")
+    return find_device(bpy.context.scene, args.device or AS_SET).kind != CPU
 
 
 def _crashed(args: argparse.Namespace) -> str:

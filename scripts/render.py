@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import BooleanOptionalAction
 from collections.abc import Sequence
 
 
@@ -21,6 +22,8 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--samples", type=sample_count, metavar="N", help="per pixel (default: the scene's)")
     where = "where Cycles renders: auto (default: as the file and the preferences say), cpu, cuda, optix, hip, oneapi or metal; cards by number or name"
     parser.add_argument("--device", type=device, metavar="KIND[:CARD,...]", help=where)
+    ahead = "analyse the next frames in a process of its own while one is rendered (default: where that is not on the CPU)"
+    parser.add_argument("--ahead", action=BooleanOptionalAction, help=ahead)
     hybrid = parser.add_argument_group("--engine hybrid")
     hybrid.add_argument("--gi", choices=MODES, default="path", help="what paths bring: all, one bounce, no diffuse bounce, nothing (default: %(default)s)")
     hybrid.add_argument("--primary", choices=("raster", "traced"), default="raster", help="what finds first hits; traced: no OpenGL (default: %(default)s)")

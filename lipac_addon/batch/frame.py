@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 
 from ...core.culling.options import State
+from ...core.error_budget.budget import Budget
 from ...core.files.report import Report, save_states
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import RAY_TYPES, Scene
@@ -21,6 +22,7 @@ from ..console import muted
 from ..depsgraph import show_frame
 from ..extract import Extraction
 from ..keys import Keys
+from .ahead import Ahead
 from .deciding import Decided, decide_layers, decided_of
 from .enforcing import ENFORCED, broken, measured, tightened, verified
 from .engines.as_scene import render_as_scene
@@ -32,6 +34,7 @@ from .engines.path import render_path
 from .engines.wishes import samples_of
 from .job import Cancel, Job, check, never
 from .session import Session, sessions_of
+from .shot_set import ShotSet
 
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
@@ -39,10 +42,26 @@ if TYPE_CHECKING:
 ANALYSIS_SHARE = 0.2  # of a frame's progress, where it is rendered too
 
 
+def run_frame_ahead(job: Job, ahead: Ahead, frame: int, report: Report, progress: Progress = silent, cancelled: Cancel = never) -> None:
+    """One frame of a job for one of Blender's engines, whose analysis is another process's; added to the report. Raises InputError, Cancelled."""
+    progress(0.0, "waiting for the analysis")
+    found = ahead.take(frame, job.states(frame), cancelled)
+    with muted():
+        writeback.restore()
+    show_frame(bpy.context.scene, frame)
+    kept = ShotSet()
+    kept.add(found.states)
+    outcome = Outcome(found.entry, found.approximated, (*found.warnings, *write_back(~kept.active, kept.keys, found.entry, kept.faces)))
+    rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
+    outcome.entry.update(render(job, frame, rest).entry())
+    outcome.entry.update(verified(job, None, None, rest, cancelled))
+    _report(job, outcome, report)
+
+
 def run_frame(sessions: Sequence[Session], frame: int, report: Report, progress: Progress = silent, cancelled: Cancel = never, last: bool = True) -> None:
     """One frame of a job, added to the report. last: nothing follows, so nothing need be kept for it. Raises InputError, Cancelled."""
     job = sessions[0].job
-    budget = job.options.max_error if job.verify and not job.options.by_counts else None
+    budget = _verified_budget(job)
     outcome = _done(sessions, frame, progress, cancelled, last)
     for attempt in range(ENFORCED if job.enforce else 0):
         if budget is None or not broken(outcome.entry, budget):
@@ -51,6 +70,17 @@ def run_frame(sessions: Sequence[Session], frame: int, report: Report, progress:
         with ExitStack() as stack:
             outcome = _done([stack.enter_context(session) for session in sessions_of(tighter)], frame, progress, cancelled, True)
         outcome.entry["enforced"] = attempt + 1
+    _report(job, outcome, report)
+
+
+def _verified_budget(job: Job) -> Budget | None:
+    """What a verification of the job compares with."""
+    return job.options.max_error if job.verify and not job.options.by_counts else None
+
+
+def _report(job: Job, outcome: Outcome, report: Report) -> None:
+    """Add a frame to the report, and say so where its budget was found broken."""
+    budget = _verified_budget(job)
     if budget is not None and broken(outcome.entry, budget):
         report.broken = True
         outcome = outcome.warned(measured(outcome.entry).warning(budget))

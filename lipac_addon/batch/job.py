@@ -41,6 +41,7 @@ class Job:
     where `frames` are a part of them; other processes may do other parts into the same folder. verify: how many crops to render full as well, to state
     the error that was measured (`verify`). enforce: where that breaks the budget, analyse again with a tighter one, and in the end keep everything.
     device: where Cycles renders. as_scene: by the engine that the open scene is set to, which `engine` names, to its own files, all of its output included.
+    ahead: arguments of `lipac analyze` that decide the same in a process of its own, where that is to go on while frames are rendered; none: it is not.
     """
 
     folder: Path
@@ -60,6 +61,7 @@ class Job:
     enforce: bool = False
     device: DeviceChoice = AS_SET
     as_scene: bool = False
+    ahead: tuple[str, ...] = ()
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""

@@ -13,10 +13,11 @@ from ...core.files.report import Report
 from ...core.progress import Progress, part, silent
 from .. import writeback
 from ..console import muted
+from .ahead import Ahead
 from .deciding import decide_layers
 from .engines.devices import find_device
 from .engines.wishes import left_out
-from .frame import run_frame
+from .frame import run_frame, run_frame_ahead
 from .job import SHOT, Cancel, Job, check, never
 from .session import sessions_of
 from .shot import run_shot
@@ -68,6 +69,12 @@ def _sweep(job: Job, keep_analyses: bool) -> None:
 
 def _run_frames(job: Job, finished: set[int], report: Report, progress: Progress, cancelled: Cancel) -> None:
     todo = [frame for frame in job.frames if job.warm or frame not in finished]
+    if job.ahead and not job.whole and not finished and len(todo) > 1:
+        with Ahead(job.ahead, todo) as ahead:
+            for k, frame in enumerate(todo):
+                run_frame_ahead(job, ahead, frame, report, part(progress, k / len(todo), (k + 1) / len(todo), f"frame {frame}: "), cancelled)
+                report.write(job.folder)
+        return
     with ExitStack() as stack:
         sessions = [stack.enter_context(session) for session in sessions_of(job)]
         for k, frame in enumerate(todo):

@@ -1,0 +1,99 @@
+"""Analysis in a process of its own, which goes on with the next frames while one is rendered here."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...core.errors import InputError
+from ...core.files.atomic import replacing
+from ...core.files.report import UNREADABLE, States, load_states
+from .job import Cancel, check
+
+TICK = 0.02  # seconds between looks at what the process has done
+
+
+@dataclass(frozen=True)
+class Analysed:
+    """What the process says of a frame. entry, approximated, warnings: of its report."""
+
+    states: States
+    entry: dict[str, Any]
+    approximated: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+class Ahead:
+    """`lipac analyze` over frames, in order, into a folder that goes with it. Whoever takes a frame waits until it is done."""
+
+    def __init__(self, arguments: Sequence[str], frames: Sequence[int]) -> None:
+        """arguments: of `lipac analyze`, without frames and folder. frames: the first and the last count; those between are analysed, too."""
+        self._folder = tempfile.TemporaryDirectory(prefix="lipac")
+        self._errors = Path(self._folder.name) / "errors.txt"
+        where = ["-o", self._folder.name, "--frames", f"{frames[0]}-{frames[-1]}", "--quiet"]
+        command = [sys.executable, "-m", "lipac.scripts.lipac", "analyze", *arguments, *where]
+        with self._errors.open("wb") as errors:
+            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
+
+    def __enter__(self) -> Ahead:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process, and remove what it has left."""
+        self._process.kill()
+        self._process.wait()
+        self._folder.cleanup()
+
+    def take(self, frame: int, path: Path, cancelled: Cancel) -> Analysed:
+        """What was decided on a frame, once; its states are then at path. `wait_s` of its entry: seconds that it was waited for.
+
+        Raises InputError where the process has ended without it, Cancelled.
+        """
+        start = time.perf_counter()
+        while True:
+            ended = self._process.poll() is not None  # asked first: what it wrote before it ended is there then
+            found = self._found(frame, path)
+            if found is not None:
+                found.entry["wait_s"] = time.perf_counter() - start
+                return found
+            if ended:
+                raise InputError(self._last_words(frame))
+            check(cancelled)
+            time.sleep(TICK)
+
+    def _found(self, frame: int, path: Path) -> Analysed | None:
+        folder = Path(self._folder.name)
+        states = folder / "states" / f"frame_{frame:04}.npz"
+        if not states.exists():
+            return None
+        try:
+            report = json.loads((folder / "report.json").read_text())
+        except (OSError, ValueError):
+            return None
+        entry = next((one for one in report["frames"] if one["frame"] == frame), None)
+        if entry is None:
+            return None
+        try:
+            read = load_states(states)
+        except UNREADABLE:
+            return None
+        with replacing(path) as part:
+            shutil.copyfile(states, part)
+        states.unlink()
+        entry["analysis_peak_bytes"] = report["totals"]["peak_bytes"]
+        return Analysed(read, entry, tuple(report["approximated"]), tuple(report["warnings"]))
+
+    def _last_words(self, frame: int) -> str:
+        lines = self._errors.read_text(errors="replace").strip().splitlines()
+        return lines[-1].removeprefix("lipac analyze: ") if lines else f"the analysis of frame {frame} ended with status {self._process.returncode}"

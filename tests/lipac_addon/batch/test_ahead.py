@@ -1,0 +1,89 @@
+"""Analyses in a process of their own, while frames are rendered: what comes out is what comes out one after the other."""
+
+import json
+from argparse import Namespace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from lipac.core.errors import Cancelled, InputError
+from lipac.lipac_addon.batch.ahead import Ahead
+from lipac.lipac_addon.batch.job import never
+from lipac.lipac_addon.pictures import read_picture
+from lipac.scripts import options
+from lipac.scripts.lipac import main
+
+pytestmark = pytest.mark.slow
+FRAMES = (1, 2, 3)
+
+
+@pytest.fixture
+def file(boxes, tmp_path):
+    boxes.camera.keyframe_insert("location", frame=1)
+    boxes.camera.location.x += 3
+    boxes.camera.keyframe_insert("location", frame=3)
+    boxes.cycles.samples = 1
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "moving.blend"))
+    return tmp_path / "moving.blend"
+
+
+def entries(folder):
+    return json.loads((folder / "report.json").read_text())["frames"]
+
+
+def test_states_and_pictures_are_those_of_one_after_the_other(file, tmp_path):
+    common = ["render", str(file), "--frames", "1-3", "--max-error", "0.05", "--resolution", "48x27", "--seed", "3", "--quiet"]
+    assert main([*common, "-o", str(tmp_path / "a"), "--no-ahead"]) == 0
+    assert main([*common, "-o", str(tmp_path / "b"), "--ahead"]) == 0
+    assert [(tmp_path / "a" / "states" / f"frame_000{k}.npz").read_bytes() for k in FRAMES] == [
+        (tmp_path / "b" / "states" / f"frame_000{k}.npz").read_bytes() for k in FRAMES
+    ]
+    for k in FRAMES:
+        a, b = (read_picture(tmp_path / name / f"frame_000{k}.exr") for name in "ab")
+        assert np.array_equal(a, b)
+    theirs, ours = entries(tmp_path / "a"), entries(tmp_path / "b")
+    for one, other in zip(theirs, ours, strict=True):
+        assert {k: one[k] for k in ("frame", "instances", "active", "culled", "paths", "writeback", "device")} == {
+            k: other[k] for k in ("frame", "instances", "active", "culled", "paths", "writeback", "device")
+        }
+        assert other["culled"] > 0
+        assert other["wait_s"] >= 0 and "wait_s" not in one
+        assert other["analysis_peak_bytes"] >= 0
+    assert sorted(p.name for p in (tmp_path / "b").iterdir()) == sorted(p.name for p in (tmp_path / "a").iterdir())
+
+
+def test_what_the_process_says_is_said(file, tmp_path):
+    with Ahead([str(file), "--camera", "nobody"], FRAMES) as ahead:
+        folder = Path(ahead._folder.name)
+        with pytest.raises(InputError, match=r"^no camera 'nobody'"):
+            ahead.take(1, tmp_path / "states.npz", never)
+    assert not folder.exists()
+    assert not (tmp_path / "states.npz").exists()
+
+
+def test_waiting_can_be_cancelled(file, tmp_path):
+    with Ahead([str(file)], FRAMES) as ahead, pytest.raises(Cancelled):
+        ahead.take(1, tmp_path / "states.npz", lambda: True)
+    assert ahead._process.returncode is not None
+
+
+def test_when_it_is_done(monkeypatch):
+    """By itself where the render is not on the CPU, and by wish; never where frames depend on renders, or there is no file for another process to open."""
+    plain = {"scene": Path("a.blend"), "ahead": None, "cull": "light-paths", "bake": "frame", "enforce": False, "warm": True, "no_mitigation": False}
+    plain |= {"resolution": (64, 36), "blas_budget": None, "threads": 0, "seed": 3, "camera": "C", "max_error": "0.02", "min_share": None, "paths": None}
+    off = [False]
+    monkeypatch.setattr(options, "_off_the_cpu", lambda _args: off[0])
+
+    def arguments(alone=True, **more):
+        return options.ahead_arguments(Namespace(**plain | more), alone)
+
+    assert arguments() == ()
+    off[0] = True
+    expected = ("a.blend", "--warm", "--resolution", "64x36", "--threads", "0", "--seed", "3", "--camera", "C", "--max-error", "0.02")
+    assert arguments() == expected
+    assert arguments(ahead=False) == arguments(alone=False) == arguments(scene=None) == ()
+    assert arguments(cull="frustum") == arguments(bake="shot") == arguments(enforce=True) == ()
+    off[0] = False
+    assert arguments(ahead=True) == expected
