@@ -206,9 +206,11 @@ def check(args: argparse.Namespace) -> None:
 
 
 def check_device(args: argparse.Namespace) -> None:
-    """Raise InputError where a device is chosen for an engine that has no choice."""
+    """Raise InputError where a device is chosen for an engine that has no choice, or a texture cache for one that has none."""
     if getattr(args, "device", None) is not None and args.engine != "cycles":
         raise InputError(f"--device chooses where Cycles renders; {HARDWARE[args.engine]}")
+    if getattr(args, "texture_cache", None) is not None and args.engine != "cycles":
+        raise InputError(f"--texture-cache is of Cycles; {HARDWARE[args.engine]}")
 
 
 def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = None, hybrid: dict[str, Any] | None = None, save: Path | None = None) -> Report:
@@ -256,7 +258,9 @@ def do_frames(args: argparse.Namespace, engine: str = "", samples: int | None = 
         frames, mixed = args.frames or (scene.frame_current,), HybridOptions(**(hybrid or {}))
         more = (mixed, args.bake, save, args.resume, args.warm, args.shot or (), args.verify, args.enforce, getattr(args, "device", None) or AS_SET, as_scene)
         ahead = ahead_arguments(args, bool(bpy.app.module))
-        job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more, ahead)
+        tiles = getattr(args, "texture_cache", None)
+        tiles = args.output / "texture_cache" if tiles == Path() else tiles
+        job = Job(args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more, ahead, tiles)
         report = new_report(args, job)
         report.began = began()
         if args.resume and (others := report.other_options(args.output)):
@@ -326,6 +330,8 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     options |= {"samples": job.samples, "bake": job.bake, "warm": job.warm, "file": digest(Path(path), *linked_files()) if path else ""}
     if job.as_scene:
         options["as_scene"] = True
+    if job.texture_cache is not None:
+        options["texture_cache"] = True
     if job.device != AS_SET:
         options["device"] = str(job.device)
     if job.engine == "hybrid":

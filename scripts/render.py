@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 def main(argv: Sequence[str]) -> int:
     """Write a picture and the states of each frame, and report.json; returns the exit status."""
+    from pathlib import Path
+
     from ..core.errors import InputError
     from ..core.hybrid.modes import MODES
     from ..lipac_addon.batch.engines.choices import ENGINES
@@ -24,6 +26,8 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--device", type=device, metavar="KIND[:CARD,...]", help=where)
     ahead = "analyse the next frames in a process of its own while one is rendered (default: where that is not on the CPU)"
     parser.add_argument("--ahead", action=BooleanOptionalAction, help=ahead)
+    tiles = "Cycles reads tiles of images, of the size that it needs, from files in DIR (default: texture_cache in -o), which are made once (Blender 5.2)"
+    parser.add_argument("--texture-cache", type=Path, nargs="?", const=Path(), metavar="DIR", help=tiles)
     hybrid = parser.add_argument_group("--engine hybrid")
     hybrid.add_argument("--gi", choices=MODES, default="path", help="what paths bring: all, one bounce, no diffuse bounce, nothing (default: %(default)s)")
     hybrid.add_argument("--primary", choices=("raster", "traced"), default="raster", help="what finds first hits; traced: no OpenGL (default: %(default)s)")

@@ -42,6 +42,7 @@ class Job:
     the error that was measured (`verify`). enforce: where that breaks the budget, analyse again with a tighter one, and in the end keep everything.
     device: where Cycles renders. as_scene: by the engine that the open scene is set to, which `engine` names, to its own files, all of its output included.
     ahead: arguments of `lipac analyze` that decide the same in a process of its own, where that is to go on while frames are rendered; none: it is not.
+    texture_cache: for Cycles, the folder of Blender's files of tiles of images (`texture_cache`); None: as the scene is set.
     """
 
     folder: Path
@@ -62,6 +63,7 @@ class Job:
     device: DeviceChoice = AS_SET
     as_scene: bool = False
     ahead: tuple[str, ...] = ()
+    texture_cache: Path | None = None
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""

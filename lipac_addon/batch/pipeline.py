@@ -16,6 +16,7 @@ from ..console import muted
 from .ahead import Ahead
 from .deciding import decide_layers
 from .engines.devices import find_device
+from .engines.texture_cache import texture_cache
 from .engines.wishes import left_out
 from .frame import run_frame, run_frame_ahead
 from .job import SHOT, Cancel, Job, check, never
@@ -45,10 +46,12 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     with muted():
         writeback.restore()
     try:
-        if job.bake == SHOT and not job.whole:
-            run_shot(job, finished, report, progress, cancelled)
-        else:
-            _run_frames(job, finished, report, progress, cancelled)
+        with texture_cache(bpy.context.scene, job.texture_cache) as lines:
+            report.note(report.warnings, lines)
+            if job.bake == SHOT and not job.whole:
+                run_shot(job, finished, report, progress, cancelled)
+            else:
+                _run_frames(job, finished, report, progress, cancelled)
     finally:
         with muted():
             writeback.restore()

@@ -202,6 +202,7 @@ BAD = [
     (["render", "BLEND", "-o", "out", "--device", "gpu"], "'gpu' is no device: give one of auto, cpu"),
     (["render", "BLEND", "-o", "out", "--device", "hip"], "--device hip: no HIP device that Cycles can use is here; there is CPU"),
     (["render", "BLEND", "-o", "out", "--device", "cpu", "--engine", "path"], "--device chooses where Cycles renders; the path tracer is on the CPU"),
+    (["render", "BLEND", "-o", "out", "--texture-cache", "--engine", "path"], "--texture-cache is of Cycles; the path tracer is on the CPU"),
     (["demo", "x", "-o", "x.blend"], "no demo scene"),
     (["demo", "mirror-city", "-o", "x.txt"], ".blend"),
     (["foo"], "unknown command"),
