@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...core.culling.options import CullOptions
 from ...core.files.atomic import is_whole, sweep
-from ...core.files.report import UNREADABLE, load_states
+from ...core.files.report import UNREADABLE
 from ...core.files.usage import peak_memory
 from ...core.progress import Progress, part, silent
 from ..batch.deciding import decide_layers
@@ -40,17 +43,20 @@ def decide_frames(shot: FarmShot, frames: Sequence[int], options: CullOptions, p
         sessions = [stack.enter_context(session) for session in sessions_of(job)]
         for k, frame in enumerate(frames):
             check(cancelled)
+            begin = time.perf_counter()
             within = part(progress, k / len(frames), (k + 1) / len(frames), f"frame {frame}: ")
             decided = decide_layers(sessions, frame, frame == frames[-1], within, cancelled)
             said = {"approximated": decided.approximated, "warnings": decided.warnings}
-            note = decided.entry | said | {"key": shot.key, "peak_bytes": peak_memory(), "max_error": [options.max_error.mean, options.max_error.worst]}
+            took = {"seconds": time.perf_counter() - begin, "peak_bytes": peak_memory()}
+            note = decided.entry | said | took | {"key": shot.key, "max_error": [options.max_error.mean, options.max_error.worst]}
             decided.save(place(frame), json.dumps(note, default=float))
 
 
 def note_of(path: Path) -> dict[str, Any]:
     """What was noted of an analysis; empty where there is none that can be read."""
     try:
-        note = json.loads(load_states(path).note) if is_whole(path) else {}
+        with np.load(path) as data:  # no more of it is read
+            note = json.loads(str(data["note"])) if is_whole(path) else {}
     except UNREADABLE:
         return {}
     return note if isinstance(note, dict) else {}

@@ -61,11 +61,11 @@ def _few(numbers: list[int]) -> str:
 def _frame(shot: FarmShot, frame: int, sample: list[dict[str, Any]]) -> dict[str, Any]:
     """A frame's entry: its own analysis, its render, and what was measured where it is of the sample."""
     note, rendered = note_of(shot.analysis(frame)), read_json(shot.rendered(frame)) or {}
-    own = {name: note.get(name) for name in ("instances", "active", "certified_mean", "peak_bytes")}
+    own = {name: note.get(name) for name in ("instances", "active", "certified_mean", "seconds", "peak_bytes")}
     found = next((one for one in sample if one["frame"] == frame), None)
     return {
         "frame": frame,
-        "analysis": {**own, "seconds": sum(value for name, value in note.items() if name.endswith("_s") and isinstance(value, int | float))},
+        "analysis": own,
         "render": {name: rendered[name] for name in ("seconds", "peak_bytes", "mended", "blender")},
         "verified": None if found is None else {name: found[name] for name in ("attempts", "full", "seconds")},
     }
