@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -50,6 +51,8 @@ def decide_frames(shot: FarmShot, frames: Sequence[int], options: CullOptions, p
             took = {"seconds": time.perf_counter() - begin, "peak_bytes": peak_memory()}
             note = decided.entry | said | took | {"key": shot.key, "max_error": [options.max_error.mean, options.max_error.worst]}
             decided.save(place(frame), json.dumps(note, default=float))
+            del decided
+            gc.collect()  # a frame's arrays are in circles of few objects, for which the collector does not begin by itself for many frames
 
 
 def note_of(path: Path) -> dict[str, Any]:

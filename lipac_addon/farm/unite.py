@@ -65,9 +65,10 @@ def united(shot: FarmShot, analyses: Iterable[Path], progress: Progress = silent
 
 
 def digest_of(together: ShotSet) -> str:
-    """SHA-256 of a set: which instances there are, and which of them stay."""
+    """SHA-256 of a set: which instances there are, and which of them and of their faces stay."""
     keys = together.keys
-    return hashlib.sha256(b"\0".join((keys.records.tobytes(), "\0".join(keys.names).encode(), together.active.tobytes()))).hexdigest()
+    faces = (part for name in sorted(together.faces) for part in (name.encode(), together.faces[name].tobytes()))
+    return hashlib.sha256(b"\0".join((keys.records.tobytes(), "\0".join(keys.names).encode(), together.active.tobytes(), *faces))).hexdigest()
 
 
 def save_culled(together: ShotSet, path: Path) -> dict[str, Any]:

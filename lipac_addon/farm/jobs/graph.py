@@ -12,7 +12,7 @@ from ..verify import MENDS
 FOLDER, SCENE, BLENDER, ITEMS = "<folder>", "<scene>", "<blender>", "<items>"  # in the arguments of a step
 LIPAC, PLAIN = "lipac", "blender"
 FRAMES, SAMPLE = "Frames", "Check"
-ROOM = 1.25  # of memory asked for, over what was measured
+ROOM = 1.5  # of memory asked for, over what was measured
 PATIENCE, LEAST, UNKNOWN = 10.0, 3600, 24 * 3600  # times what a task is expected to take until it is given up; seconds at least; seconds where nothing is known
 
 

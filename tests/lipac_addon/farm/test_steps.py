@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import subprocess
@@ -16,9 +17,11 @@ import pytest
 from lipac.core.culling.options import State
 from lipac.core.errors import InputError
 from lipac.core.files.report import load_states, save_states
+from lipac.lipac_addon.batch.deciding import decide_layers
 from lipac.lipac_addon.batch.shot_set import ShotSet
 from lipac.lipac_addon.farm import analyse, certificate, children, unite, verify
 from lipac.lipac_addon.farm.layout import FarmShot, read_json
+from lipac.lipac_addon.farm.opening import open_shot
 from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.lipac import main
 
@@ -187,3 +190,27 @@ def test_at_most() -> None:
     assert certificate.at_most(0, 10) == pytest.approx(1 - 0.05**0.1)
     assert certificate.at_most(1, 10) == pytest.approx(0.3942, abs=1e-4)
     assert certificate.at_most(10, 10) == pytest.approx(1.0)
+
+
+def test_a_chunk_holds_no_frame_that_is_done(shot: FarmShot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where Python's collector of circles does not begin by itself: a chunk needs the memory of a frame."""
+    held = []
+
+    def decide(*arguments: Any) -> Any:
+        held.append(sum(array.nbytes for array in _arrays()))
+        return decide_layers(*arguments)
+
+    monkeypatch.setattr(analyse, "decide_layers", decide)
+    open_shot(shot)
+    gc.disable()
+    try:
+        analyse.decide_frames(shot, shot.frames, shot.options(), shot.analysis)
+    finally:
+        gc.enable()
+    assert held[-1] - held[1] < 100_000
+
+
+def _arrays() -> list[np.ndarray]:
+    """Arrays that something which the collector knows refers to, and that own their memory."""
+    found = {id(one): one for holder in gc.get_objects() for one in gc.get_referents(holder) if isinstance(one, np.ndarray) and one.base is None}
+    return list(found.values())

@@ -41,8 +41,8 @@ def test_the_template_is_valid_and_says_what_is_needed(job: FarmShot) -> None:
     template, measured = json.loads(path.read_text()), json.loads((job.folder / "measured.json").read_text())
     assert {s["name"]: [d["dependsOn"] for d in s.get("dependencies", [])] for s in template["steps"]} == STEPS
     asked = {s["name"]: s["hostRequirements"]["amounts"][0]["min"] * 2**20 for s in template["steps"] if "hostRequirements" in s}
-    assert asked["analyze"] == pytest.approx(1.25 * measured["analysis"]["peak_bytes"], abs=2**20)
-    assert asked["render"] == pytest.approx(1.25 * measured["full"]["peak_bytes"], abs=2**20)
+    assert asked["analyze"] == pytest.approx(1.5 * measured["analysis"]["peak_bytes"], abs=2**20)
+    assert asked["render"] == pytest.approx(1.5 * measured["full"]["peak_bytes"], abs=2**20)
     assert asked["verify"] == max(asked["analyze"], asked["render"])
     for step in template["steps"]:
         run = step["script"]["actions"]["onRun"]
