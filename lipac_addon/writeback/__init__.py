@@ -92,14 +92,15 @@ def apply(
         raise ValueError(f"{len(culled)} states for {len(keys.records)} instances")
     restore(in_render)
     plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render, faces, free and not places)
+    emitters = len({e.name_full for e, _ in plan.particle_modifiers})
+    cut = len(plan.faces), sum(int(np.count_nonzero(gone)) for _, gone in plan.faces)
+    result = WritebackResult(plan.removed, plan.kept, len(plan.objects), len(plan.masks), emitters, *cut, plan.whole, len(plan.sources))
     try:
         _write(plan, places or {}, in_render)
+        return result
     except BaseException:
         restore(in_render)
         raise
-    emitters = len({e.name_full for e, _ in plan.particle_modifiers})
-    cut = len(plan.faces), sum(int(np.count_nonzero(gone)) for _, gone in plan.faces)
-    return WritebackResult(plan.removed, plan.kept, len(plan.objects), len(plan.masks), emitters, *cut, plan.whole, len(plan.sources))
 
 
 def restore(in_render: bool = False) -> bool:

@@ -86,12 +86,13 @@ def _is_free(ob: bpy.types.Object, modifier: bpy.types.Modifier) -> bool:
 
 
 def _new(kind: str, slots: int) -> bpy.types.ID:
-    data = bpy.data.meshes.new(NAME) if kind == "MESH" else bpy.data.curves.new(NAME, kind)
-    data[marks.KEY] = _STAND_IN
-    if isinstance(data, bpy.types.TextCurve):
-        data.body = ""
-    for _ in range(slots):
-        data.materials.append(None)
+    with marks.making() as made:
+        made.append(data := bpy.data.meshes.new(NAME) if kind == "MESH" else bpy.data.curves.new(NAME, kind))
+        data[marks.KEY] = _STAND_IN
+        if isinstance(data, bpy.types.TextCurve):
+            data.body = ""
+        for _ in range(slots):
+            data.materials.append(None)
     return data
 
 

@@ -10,7 +10,8 @@ else they are not touched, so the old value needs no storing. A word that fits n
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 import bpy
 import numpy as np
@@ -51,9 +52,21 @@ def write(words: Iterable[tuple[bpy.types.Object, str]]) -> None:
         else:
             overrides.append({"object": ob, "word": word})
     if overrides:
-        record = bpy.data.objects.new(_NAME, None)
-        record.use_fake_user = True
-        record[KEY], record[_RECORD] = _RECORD, overrides
+        with making() as made:
+            made.append(bpy.data.objects.new(_NAME, None))
+            made[0].use_fake_user = True
+            made[0][KEY], made[0][_RECORD] = _RECORD, overrides
+
+
+@contextmanager
+def making() -> Iterator[list[bpy.types.ID]]:
+    """Takes the data-blocks that are put into the list away again where an error ends their making, before they can be told as ours."""
+    made: list[bpy.types.ID] = []
+    try:
+        yield made
+    except BaseException:
+        bpy.data.batch_remove(made)
+        raise
 
 
 def particles(modifier: bpy.types.Modifier) -> str:

@@ -88,14 +88,15 @@ def _inputs(group: bpy.types.NodeTree) -> list[str]:
 
 
 def mask_object(rows: NDArray[np.bool_], places: F32 | None) -> bpy.types.Object:
-    mesh = bpy.data.meshes.new(NAME)
-    mesh.vertices.add(len(rows))
-    if places is not None:
-        mesh.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(places[: len(rows)], np.float32).ravel())
-    mesh.attributes.new(ATTRIBUTE, "BOOLEAN", "POINT").data.foreach_set("value", rows)
-    ob = bpy.data.objects.new(NAME, mesh)
-    for block in (mesh, ob):
-        block[marks.KEY] = _MASK
+    with marks.making() as made:
+        made.append(mesh := bpy.data.meshes.new(NAME))
+        mesh.vertices.add(len(rows))
+        if places is not None:
+            mesh.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(places[: len(rows)], np.float32).ravel())
+        mesh.attributes.new(ATTRIBUTE, "BOOLEAN", "POINT").data.foreach_set("value", rows)
+        made.append(ob := bpy.data.objects.new(NAME, mesh))
+        for block in (mesh, ob):
+            block[marks.KEY] = _MASK
     return ob
 
 
@@ -108,12 +109,13 @@ def _set_input(modifier: bpy.types.Modifier, socket: str, value: bpy.types.ID | 
 
 def new_group(name: str, inputs: tuple[tuple[str, str], ...]) -> bpy.types.NodeTree:
     """A node group that bears our mark, with inputs Geometry and others by name and type, and the output Geometry."""
-    group = bpy.data.node_groups.new(name, "GeometryNodeTree")
-    group[marks.KEY] = _MASK
-    group.is_modifier = True
-    for way, sockets in (("INPUT", (("Geometry", "Geometry"), *inputs)), ("OUTPUT", (("Geometry", "Geometry"),))):
-        for socket, kind in sockets:
-            group.interface.new_socket(socket, in_out=way, socket_type="NodeSocket" + kind)
+    with marks.making() as made:
+        made.append(group := bpy.data.node_groups.new(name, "GeometryNodeTree"))
+        group[marks.KEY] = _MASK
+        group.is_modifier = True
+        for way, sockets in (("INPUT", (("Geometry", "Geometry"), *inputs)), ("OUTPUT", (("Geometry", "Geometry"),))):
+            for socket, kind in sockets:
+                group.interface.new_socket(socket, in_out=way, socket_type="NodeSocket" + kind)
     return group
 
 
