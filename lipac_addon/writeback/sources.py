@@ -33,7 +33,7 @@ def unread(objects: Iterable[bpy.types.Object]) -> set[bpy.types.Object]:
     targets = _driver_targets()
     trees = _Trees()
     free = (ob for ob in chosen - targets if not any(_reads(block, user) for block, user in _uses(ob, users)))
-    return {ob for ob in free if trees.pass_on(_blocks(ob, users), users)}
+    return {ob for ob in free if trees.pass_on(ob, _blocks(ob, users), users)}
 
 
 def _users_of(objects: set[bpy.types.Object]) -> dict[bpy.types.ID, set[bpy.types.ID]]:
@@ -102,11 +102,19 @@ class _Trees:
                 if getattr(node, "node_tree", None) is not None:
                     self._inner.setdefault(tree, set()).add(node.node_tree)
                     self._outer.setdefault(node.node_tree, set()).add(tree)
+        self._known: dict[frozenset[bpy.types.ID], bool] = {}
         nodes = ([m for m in ob.modifiers if m.type == "NODES" and m.node_group is not None] for ob in bpy.data.objects)
         self._stacks = [[(set(inputs_of(m)), m.node_group) for m in stack] for stack in nodes if stack]
 
-    def pass_on(self, blocks: set[bpy.types.ID], users: dict[bpy.types.ID, set[bpy.types.ID]]) -> bool:
-        """Whether all trees that may get one of these blocks do no more than instance it."""
+    def pass_on(self, ob: bpy.types.Object, blocks: set[bpy.types.ID], users: dict[bpy.types.ID, set[bpy.types.ID]]) -> bool:
+        """Whether all trees that may get an object, or one of the blocks with it, do no more than instance it."""
+        named = any(ob in inputs for stack in self._stacks for inputs, _ in stack) or any(isinstance(user, bpy.types.NodeTree) for user in users.get(ob, ()))
+        key = frozenset(blocks if named else blocks - {ob})  # those of one collection fare alike
+        if key not in self._known:
+            self._known[key] = self._pass_on(set(key), users)
+        return self._known[key]
+
+    def _pass_on(self, blocks: set[bpy.types.ID], users: dict[bpy.types.ID, set[bpy.types.ID]]) -> bool:
         own = {user for block in blocks for user in users.get(block, ()) if isinstance(user, bpy.types.NodeTree)}
         given = {group for stack in self._stacks for inputs, group in stack if not blocks.isdisjoint(inputs)}
         trees = _reached(_reached(own | given, self._outer), self._inner)
