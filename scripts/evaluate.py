@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
+from ..core.processors import processors
 from ..core.progress import Progress, part
 from .studies.machine import machine
 
@@ -75,7 +76,7 @@ def random_scenes(args: argparse.Namespace, folder: Path) -> int:
     if args.scene is not None:
         raise InputError("--family makes its own scenes: name no SCENE")
     threads = args.threads or FAMILY_THREADS
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = processors()
     plan = family.Plan(args.resolution, args.samples or FAMILY_SAMPLES, threads, args.time_limit, args.instances)
 
     def tell(line: str) -> None:

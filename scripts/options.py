@@ -20,6 +20,7 @@ from ..core.culling.options import DEFAULT_BUDGET, CullOptions
 from ..core.culling.policies import LIGHT_PATHS, POLICIES, RULES
 from ..core.error_budget.budget import SPREAD, Budget
 from ..core.errors import InputError
+from ..core.processors import processors
 from ..core.progress import Progress, Terminal, silent
 from ..core.warmup import load_ahead, telling
 from ..version import __version__
@@ -339,7 +340,7 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     if job.bake == SHOT or job.warm:
         together = job.shot or job.frames
         options["frames"] = [together[0], together[-1]]
-    threads = args.threads or os.cpu_count() or 1
+    threads = args.threads or processors()
     return Report(str(path), bpy.app.version_string, __version__, args.cull, job.engine, args.seed, threads, options)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ from ..accel.hitboxes import Hitboxes
 from ..accel.tlas import Tlas, hit_instance
 from ..arrays import F32, F64, U8
 from ..jit.atomics import pointer
+from ..processors import processors
 from ..scene.model import Camera, Scene
 
 # Okabe and Ito's colours, told apart by colour-blind people: sRGB.
@@ -173,7 +173,7 @@ def render(scene: Scene, active: np.ndarray, boxes: F32, view: Viewpoint, width:
         part = picture[row : row + _BAND]
         _draw(tlas.handle, tlas.ids, tlas.first, scene.instances.transform, tint, hitboxes.handle, frame, light, colors, line, far, pixel, row, part)
 
-    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+    with ThreadPoolExecutor(threads or processors()) as pool:
         list(pool.map(band, range(0, h, _BAND)))
     return picture.reshape(height, _SAMPLES, width, _SAMPLES, 3).mean(axis=(1, 3))
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import atexit
 import json
-import os
 import subprocess
 import sys
 import threading
@@ -17,6 +16,7 @@ from numba import types
 from numba.core import event
 
 from ..jit import healing as _healing  # noqa: F401
+from ..processors import processors
 
 _ROOT = __name__.rpartition(".core.")[0]  # `lipac`, or what an extension is called: what is cached holds for one name
 # What the second process runs. It ends with this one: then its input does. Packages around `core` are stood in for: they need Blender.
@@ -97,7 +97,6 @@ _watching = threading.Event()
 
 def share() -> None:
     """From now on, have a second process help when kernels must be compiled. Where no process can be started, or one core is all there is, none does."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if cores > 1 and not _watching.is_set():
+    if processors() > 1 and not _watching.is_set():
         _watching.set()
         event.register("numba:compile", _FirstCompilation())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import operator
-import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -20,6 +19,7 @@ from ..arrays import F32
 from ..feedback.hits import Feedback
 from ..feedback.path_log import PathLog
 from ..jit.pointers import address
+from ..processors import processors
 from ..progress import Progress, silent
 from ..scene.camera import camera_constants
 from ..scene.change import Change
@@ -184,8 +184,8 @@ def _run(
                 return
             work(tile)
 
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        running = {pool.submit(take) for _ in range(min(threads or os.cpu_count() or 1, len(tiles)))}
+    with ThreadPoolExecutor(threads or processors()) as pool:
+        running = {pool.submit(take) for _ in range(min(threads or processors(), len(tiles)))}
         try:
             while running:
                 done, running = wait(running, _POLL)

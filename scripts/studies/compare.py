@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.files.report import size
+from ...core.processors import processors
 
 FULL, OTHER_SEED, CULLED = "full", "other-seed", "culled"
 
@@ -126,4 +126,4 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
 
 def cores() -> int:
     """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return processors()

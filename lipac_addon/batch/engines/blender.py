@@ -76,12 +76,24 @@ def rendered_by(engine: str, used: Device | None, progress: Progress, animation:
     with _stats(progress) as told:
         start = told.start = time.perf_counter()
         try:
-            with muted(), _ctrl_c_ends_the_process():
+            with muted(), _ctrl_c_ends_the_process(), _other_scenes_where_they_are(scene):
                 bpy.ops.render.render(animation=animation, scene=scene.name)
         except RuntimeError as error:
             raise InputError(f"{engine} cannot render the scene: {str(error).removeprefix('Error:').strip()}") from error
         seconds = time.perf_counter() - start
     return Rendered(seconds, eevee_device() if used is None else str(used), told.first_sample_s, told.device_bytes)
+
+
+@contextmanager
+def _other_scenes_where_they_are(scene: bpy.types.Scene) -> Iterator[None]:
+    """A render moves scenes that its compositor shows to its own frame, and leaves them there."""
+    others = [(other, other.frame_current, other.frame_subframe) for other in bpy.data.scenes if other != scene]
+    try:
+        yield
+    finally:
+        for other, frame, subframe in others:
+            if (other.frame_current, other.frame_subframe) != (frame, subframe):
+                other.frame_current, other.frame_subframe = frame, subframe
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 
 from ....core.errors import InputError
+from ...console import muted
 from ...depsgraph import changed
 from .choices import AUTO, CPU, GPU_KINDS, DeviceChoice
 
@@ -38,7 +39,9 @@ def cards_of(kind: str) -> list[tuple[str, str]]:
 
     if kind != CPU and kind.upper() not in {name for name, *_ in _preferences().get_device_types(bpy.context)}:
         return []  # Blender was built without it
-    return [(str(name), str(identity)) for name, of, identity, *_ in _cycles.available_devices(kind.upper()) if of == kind.upper()]
+    with muted():  # of what it finds no library for, it writes to stdout
+        found = _cycles.available_devices(kind.upper())
+    return [(str(name), str(identity)) for name, of, identity, *_ in found if of == kind.upper()]
 
 
 def find_device(scene: Any, choice: DeviceChoice) -> Device:

@@ -5,11 +5,11 @@ Steps wait for all of those before, so a pool of threads that wait for processes
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from threading import Event
 
+from ....core.processors import processors
 from ....core.progress import Progress, silent
 from ...batch.pipeline import Cancel, never
 from ..children import run
@@ -22,7 +22,7 @@ DONE = (0, 3)  # exit statuses: 3 says that a frame is above the budget in the e
 
 def processes() -> int:
     """At a time, by default: what a process does alone keeps several cores busy, but not all of the time."""
-    return max(1, (os.cpu_count() or 1) // CORES_TO_A_PROCESS)
+    return max(1, processors() // CORES_TO_A_PROCESS)
 
 
 def run_here(
