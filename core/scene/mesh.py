@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..arrays import F32, I32, U32, Records
 
-DIVIDED_FROM = 2048  # triangles of a mesh that is worth dividing into parts
+DIVIDED_FROM = 8192  # triangles of a mesh that is divided into parts: dividing smaller ones costs more time than their memory is worth
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ class Read(list[Mesh]):
 
 def test_what_no_path_asks_for_is_never_read() -> None:
     """A large mesh behind the camera, before a wall that the sun shines on from the front."""
-    meshes = Read([scenes.quad(), grid(60)])
+    meshes = Read([scenes.quad(), grid(80)])
     wall = (0, facing((1, 0, 0), (0, -1, 0), (0, 3, 0), 40, 40), 0)
     look, flags = scenes.look_at((0, -8, 0.5), (0, 0, 0.5)), np.full(2, FLAGS, np.uint8)
     placement, limits = [wall, (1, scenes.placed((0, -90, 0), 3.0), 0)], s.PathLimits(total=1, diffuse=0)

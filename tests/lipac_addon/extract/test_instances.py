@@ -397,7 +397,7 @@ def test_world_type_is_exported() -> None:
 def test_whose_faces_may_be_culled_by_themselves(why: str) -> None:
     """Those of a large mesh of an object of its own; the numbers of its faces are read then."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    side = 10 if why == "small" else 40
+    side = 10 if why == "small" else 70
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=side, y_subdivisions=side)
     ob = bpy.context.object
     bpy.ops.object.camera_add(location=(0, 0, 5))
@@ -418,4 +418,4 @@ def test_whose_faces_may_be_culled_by_themselves(why: str) -> None:
     mesh = scene.meshes[int(scene.instances.mesh[0])]
     assert (mesh.faces is not None) == (why == "")
     if mesh.faces is not None:
-        assert np.array_equal(np.bincount(mesh.faces), np.full(40 * 40, 2))
+        assert np.array_equal(np.bincount(mesh.faces), np.full(70 * 70, 2))
