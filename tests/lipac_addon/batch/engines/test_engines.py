@@ -50,6 +50,22 @@ def test_file_outputs_write_nothing(boxes, tmp_path):
     assert (tmp_path / "theirs").exists()  # Blender alone would have written
 
 
+def test_scenes_in_the_compositor_stay_at_their_frames(boxes, tmp_path):
+    """A render moves them to its own."""
+    tree = boxes.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    layers, output = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("NodeGroupOutput")
+    layers.scene = other = bpy.data.scenes.new("second")
+    tree.links.new(layers.outputs["Image"], output.inputs[0])
+    other.camera, other.render.engine, other.cycles.samples = boxes.camera, "CYCLES", 1
+    boxes.frame_set(12, subframe=0.5)
+    other.frame_current, other.frame_subframe = 3, 0.25
+    render_blender("cycles", tmp_path / "a", samples=1)
+    assert (other.frame_current, other.frame_subframe) == (3, 0.25)
+    bpy.ops.render.render()
+    assert other.frame_current == 12  # Blender alone
+
+
 def test_parts_of_a_film(boxes, tmp_path):
     """Blender refuses to render a film of less than 16 pixels, and a verification renders parts."""
     settings = boxes.render.image_settings
