@@ -13,6 +13,7 @@ from ...core.scene.mesh import DIVIDED_FROM
 from ..keys import Kind
 from .geometry.geometry_sets import Geometry
 from .lights import LampData
+from .materials.wholeness import needs_whole_mesh
 
 
 @dataclass(eq=False)
@@ -100,7 +101,9 @@ def is_divisible(node: Node) -> bool:
         return False
     diced = any(m.type == "SUBSURF" and getattr(m, "use_adaptive_subdivision", False) for m in item.modifiers)
     diced |= bool(getattr(getattr(item, "cycles", None), "use_adaptive_subdivision", False))
-    return not diced and 2 * len(item.data.polygons) >= DIVIDED_FROM
+    if diced or 2 * len(item.data.polygons) < DIVIDED_FROM:
+        return False
+    return not any(needs_whole_mesh(slot.material) for slot in item.material_slots)
 
 
 def visible_members(collection: Any) -> Iterator[Any]:

@@ -37,7 +37,8 @@ class LIPAC_OT_submit_shot(Explained, bpy.types.Operator):
     def obstacle(cls, context: bpy.types.Context) -> str:
         if engine.missing():
             return engine.obstacle()
-        if not bpy.data.filepath or bpy.data.is_dirty:
+        sure = not bpy.app.background or bpy.app.version >= (5, 1)  # before, a file in the background stayed unsaved whatever was done
+        if not bpy.data.filepath or (sure and bpy.data.is_dirty):
             return "Save the file first: that is what a farm's machines open"
         if context.scene.lipac.policy != LIGHT_PATHS:
             return "Keep by light paths: that is what a farm analyzes by"

@@ -393,7 +393,24 @@ def test_world_type_is_exported() -> None:
     assert isinstance(extract_world(bpy.context.scene), ExtractedWorld)
 
 
-@pytest.mark.parametrize("why", ["", "small", "instanced", "holdout", "hair", "adaptive"])
+def looks_around(why: str) -> bpy.types.Material:
+    """A material that shades a face by others of its mesh, one of them in a group."""
+    material = bpy.data.materials.new(why)
+    material.use_nodes = True
+    tree = material.node_tree
+    if why == "subsurface":
+        tree.nodes["Principled BSDF"].inputs["Subsurface Weight"].default_value = 0.2
+    elif why == "volume":
+        group = tree.nodes.new("ShaderNodeGroup")
+        group.node_tree = bpy.data.node_groups.new("fog", "ShaderNodeTree")
+        group.node_tree.nodes.new("ShaderNodeVolumeScatter")
+    else:
+        geometry = tree.nodes.new("ShaderNodeNewGeometry")
+        tree.links.new(geometry.outputs["Random Per Island"], tree.nodes["Principled BSDF"].inputs["Base Color"])
+    return material
+
+
+@pytest.mark.parametrize("why", ["", "small", "instanced", "holdout", "hair", "adaptive", "subsurface", "volume", "islands"])
 def test_whose_faces_may_be_culled_by_themselves(why: str) -> None:
     """Those of a large mesh of an object of its own; the numbers of its faces are read then."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -413,6 +430,8 @@ def test_whose_faces_may_be_culled_by_themselves(why: str) -> None:
         ob.modifiers.new("hair", "PARTICLE_SYSTEM")
     elif why == "adaptive" and bpy.app.version >= (5, 0, 0):
         ob.modifiers.new("fine", "SUBSURF").use_adaptive_subdivision = True
+    elif why in ("subsurface", "volume", "islands"):
+        ob.data.materials.append(looks_around(why))
     scene = extract_frame(bpy.context.scene, 1).scene
     assert bool(scene.instances.flags[0] & InstanceFlag.DIVISIBLE) == (why == "")
     mesh = scene.meshes[int(scene.instances.mesh[0])]

@@ -1,0 +1,33 @@
+"""Materials that look at their mesh as a whole: one of which faces are gone would look otherwise where it stays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+# Light inside the surface, which needs it closed; and what is near, of the same mesh
+NODES = frozenset(
+    f"ShaderNode{kind}"
+    for kind in ("SubsurfaceScattering", "VolumeAbsorption", "VolumeScatter", "VolumePrincipled", "VolumeCoefficients", "AmbientOcclusion", "Bevel", "Raycast")
+)
+OUTPUTS = ("Pointiness", "Random Per Island")  # of the Geometry node: made from neighbours, and from what hangs together
+
+
+def needs_whole_mesh(material: Any) -> bool:
+    """Whether a material, or None, shades a face by others of its mesh."""
+    return material is not None and material.node_tree is not None and _looks_around(material.node_tree, set())
+
+
+def _looks_around(tree: Any, seen: set[int]) -> bool:
+    if tree is None or tree.as_pointer() in seen:
+        return False
+    seen.add(tree.as_pointer())
+    return any(_node_looks_around(node) or _looks_around(getattr(node, "node_tree", None), seen) for node in tree.nodes)
+
+
+def _node_looks_around(node: Any) -> bool:
+    if node.bl_idname in NODES:
+        return True
+    if node.bl_idname == "ShaderNodeNewGeometry":
+        return any(node.outputs[name].is_linked for name in OUTPUTS if name in node.outputs)
+    weight = node.inputs.get("Subsurface Weight") if node.bl_idname == "ShaderNodeBsdfPrincipled" else None
+    return weight is not None and (weight.is_linked or weight.default_value > 0)
