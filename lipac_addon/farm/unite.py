@@ -22,6 +22,7 @@ from ..batch.frame import write_back
 from ..batch.job import Cancel, check, never
 from ..batch.shot_set import ShotSet
 from ..console import muted
+from ..keys import packed
 from .layout import FarmShot, read_json, write_json
 from .opening import open_shot
 from .stripping import strip
@@ -68,7 +69,7 @@ def digest_of(together: ShotSet) -> str:
     """SHA-256 of a set: which instances there are, and which of them and of their faces stay."""
     keys = together.keys
     faces = (part for name in sorted(together.faces) for part in (name.encode(), together.faces[name].tobytes()))
-    return hashlib.sha256(b"\0".join((keys.records.tobytes(), "\0".join(keys.names).encode(), together.active.tobytes(), *faces))).hexdigest()
+    return hashlib.sha256(b"\0".join((packed(keys.records).tobytes(), "\0".join(keys.names).encode(), together.active.tobytes(), *faces))).hexdigest()
 
 
 def save_culled(together: ShotSet, path: Path) -> dict[str, Any]:
