@@ -10,14 +10,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import overload
 
 import numpy as np
 
 from ..accel.region_tree import spatial_order
 from ..arrays import F32, I32, I64
 from ..scene.bounds import enclosing, triangle_boxes
-from ..scene.mesh import DIVIDED_FROM, Mesh
+from ..scene.mesh import DIVIDED_FROM, Mesh, MeshSequence
 from ..scene.model import InstanceFlag, Instances, Scene, world_bounds
 from ..tracing.lights.lights import emissive_instances
 from .options import CullOptions, State
@@ -63,7 +62,7 @@ class Parts:
         return out
 
 
-class _Meshes(Sequence[Mesh]):
+class _Meshes(MeshSequence):
     """Meshes of a scene, and behind them the parts of some."""
 
     def __init__(self, whole: Sequence[Mesh], divided: Sequence[Parts]) -> None:
@@ -73,13 +72,8 @@ class _Meshes(Sequence[Mesh]):
     def __len__(self) -> int:
         return int(self._first[-1])
 
-    @overload
-    def __getitem__(self, index: int) -> Mesh: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Mesh]: ...
-    def __getitem__(self, index: int | slice) -> Mesh | list[Mesh]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def mesh(self, index: int) -> Mesh:
+        """Of the scene, or a part."""
         if index < len(self._whole):
             return self._whole[index]
         k = int(np.searchsorted(self._first, index, side="right")) - 1

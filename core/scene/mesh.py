@@ -79,7 +79,24 @@ def record(mesh: Mesh) -> tuple[int, ...]:
     return (*map(_address, (mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.slots)), len(mesh.triangles))
 
 
-class MeshTable(Sequence[Mesh]):
+class MeshSequence(Sequence[Mesh]):
+    """Meshes that are made on demand: `mesh(m)` says how, and slices ask for each."""
+
+    def mesh(self, index: int) -> Mesh:
+        """Mesh number index, from 0 on."""
+        raise NotImplementedError
+
+    @overload
+    def __getitem__(self, index: int) -> Mesh: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Mesh]: ...
+    def __getitem__(self, index: int | slice) -> Mesh | list[Mesh]:
+        if isinstance(index, slice):
+            return [self.mesh(i) for i in range(*index.indices(len(self)))]
+        return self.mesh(range(len(self))[index])  # IndexError beyond the end, where iteration stops
+
+
+class MeshTable(MeshSequence):
     """Meshes in the form that kernels read, without a BLAS; those that are there need not be read again. table: (M,) of MESH."""
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:
@@ -97,11 +114,6 @@ class MeshTable(Sequence[Mesh]):
     def __len__(self) -> int:
         return len(self._meshes)
 
-    @overload
-    def __getitem__(self, index: int) -> Mesh: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Mesh]: ...
-    def __getitem__(self, index: int | slice) -> Mesh | list[Mesh]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def mesh(self, index: int) -> Mesh:
+        """As it was loaded, or as the source gives it."""
         return self._loaded[index] if index in self._loaded else self._meshes[index]
