@@ -7,8 +7,8 @@
     lipac.apply(analysis)  # renders of the open file are culled from here on
     lipac.restore()
 
-Nothing is loaded before it is used: `lipac.analyze` of arrays needs no Blender. As a Blender extension this package registers `lipac_addon`; `lipac.core` and
-the commands need no registration.
+Nothing is loaded before it is used: `lipac.analyze` of arrays needs no Blender. As a Blender extension this package
+registers `lipac_addon`; `lipac.core` and the commands need no registration.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Run the quick tests on whatever the package index serves today, upper bounds ignored, and print one line: what moved from the lock, and what broke.
+"""Run the quick tests on whatever the package index serves today, upper bounds ignored, and print one line: what moved
+from the lock, and what broke.
 
-Reports, and never fails. Where tests break, moved packages go back to their locked versions in turn: the first that mends all failures so is named.
+Reports, and never fails. Where tests break, moved packages go back to their locked versions in turn: the first that
+mends all failures so is named.
 """
 
 from __future__ import annotations
@@ -45,7 +47,17 @@ print(*(f"{name}=={version}" for name, version in pins().items()))
 
 def tests(*options: str) -> tuple[int, str]:
     """Exit status of pytest on the quick tests, and its closing line."""
-    command = [VENV / "bin" / "python", "-m", "pytest", "-q", "-m", "not slow", "-o", f"cache_dir={VENV}/pytest", *options]
+    command = [
+        VENV / "bin" / "python",
+        "-m",
+        "pytest",
+        "-q",
+        "-m",
+        "not slow",
+        "-o",
+        f"cache_dir={VENV}/pytest",
+        *options,
+    ]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, timeout=60 * MINUTES)
     except subprocess.TimeoutExpired:
@@ -61,7 +73,9 @@ def main(requirements: Sequence[str]) -> str:
     subprocess.run([*PIP, "install", "-q", "setuptools", *unbounded(), *requirements], check=True)
     subprocess.run([*PIP, "install", "-q", "--no-deps", "--no-build-isolation", "-e", str(ROOT)], check=True)
     installed, locked = versions(INSTALLED), versions(LOCKED)
-    moved = {name: (version, installed[name]) for name, version in locked.items() if installed.get(name, version) != version}
+    moved = {
+        name: (version, installed[name]) for name, version in locked.items() if installed.get(name, version) != version
+    }
     if not moved:
         return "the lock's versions, nothing moved"
     names = ", ".join(f"{name} {old} -> {new}" for name, (old, new) in moved.items())

@@ -1,4 +1,5 @@
-"""Names of the array types that all rooms share: NumPy arrays by their numbers. Records: structured arrays of any fields."""
+"""Names of the array types that all rooms share: NumPy arrays by their numbers. Records: structured arrays of any
+fields."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Progress of long work: a callback that the work calls, and a terminal line with the time left.
 
-Work takes `progress: Progress` and calls it as often as it likes, `progress(fraction, what)`: fraction in [0, 1] of the whole work, NaN where that is not
-known, what in a few words.
+Work takes `progress: Progress` and calls it as often as it likes, `progress(fraction, what)`: fraction in [0, 1] of the
+whole work, NaN where that is not known, what in a few words.
 It never prints by itself.
 """
 
@@ -21,7 +21,8 @@ def silent(fraction: float, what: str) -> None:
 
 
 def part(progress: Progress, low: float, high: float, prefix: str = "") -> Progress:
-    """A `Progress` for a part of the work: its 0 to 1 is low to high of the whole; `prefix` goes before what it says."""
+    """A `Progress` for a part of the work: its 0 to 1 is low to high of the whole; `prefix` goes before what it
+    says."""
     return lambda fraction, what: progress(low + (high - low) * fraction, prefix + what)
 
 
@@ -37,10 +38,12 @@ def clock(seconds: float) -> str:
 
 
 class Terminal:
-    """A `Progress` that writes to a text stream: one line that is rewritten on a terminal, a line every few seconds into a file or pipe.
+    """A `Progress` that writes to a text stream: one line that is rewritten on a terminal, a line every few seconds
+    into a file or pipe.
 
-    The time left is extrapolated from the fraction done since the first call. `close()` (or leaving the `with` block) clears the line. Nothing is written any
-    more once the stream has refused it: its reader has gone, or its disk is full.
+    The time left is extrapolated from the fraction done since the first call. `close()` (or leaving the `with` block)
+    clears the line. Nothing is written any more once the stream has refused it: its reader has gone, or its disk is
+    full.
     """
 
     def __init__(self, stream: TextIO, now: Callable[[], float] = time.monotonic) -> None:

@@ -1,4 +1,5 @@
-"""Warm up the JIT-compiled kernels: load them ahead in a thread, and report the progress of compiling them the first time."""
+"""Warm up the JIT-compiled kernels: load them ahead in a thread, and report the progress of compiling them the first
+time."""
 
 from __future__ import annotations
 
@@ -21,18 +22,20 @@ LAST = 0.15  # of the whole time, for that one
 
 
 def load_ahead() -> None:
-    """Load the engine and its kernels in a thread of their own, where they were compiled before: whoever needs them finds them there, or waits for the rest.
+    """Load the engine and its kernels in a thread of their own, where they were compiled before: whoever needs them
+    finds them there, or waits for the rest.
 
-    Worth while before work that leaves Python alone, such as Blender opening a file. It does nothing that would not be done later.
+    Worth while before work that leaves Python alone, such as Blender opening a file. It does nothing that would not be
+    done later.
     """
     folder = os.environ.get("NUMBA_CACHE_DIR")  # by kernel_cache
-    if not folder or not any(Path(folder).glob("*/path_kernel.trace_tile-*.nbi")):
+    if not folder or not any(Path(folder).glob("*/tile_kernel.trace_tile-*.nbi")):
         return
 
     def load() -> None:
         with suppress(Exception):  # whoever needs it meets the error, and can tell the user
             from .culling import shot as frames  # noqa: F401
-            from .tracing.path_kernel import trace_tile
+            from .tracing.tile_kernel import trace_tile
 
             trace_tile.compile((int64, int64, int64, int64, uint64[::1]))
 
@@ -65,7 +68,8 @@ class _Compiling(event.Listener):
         return f"compiling kernels, the first time only: {share:.0%}{left}"
 
     def _share(self, spent: float) -> float:
-        """What share of the work is done after so many seconds. Of what is kept on disk: another process may compile, too (`core.tracing.second_process`)."""
+        """What share of the work is done after so many seconds. Of what is kept on disk: another process may compile,
+        too (`core.tracing.second_process`)."""
         done = max(self._done, kept())
         if done < KERNELS:
             return (1 - LAST) * done / KERNELS

@@ -1,4 +1,5 @@
-"""Culls a scene by light paths and renders it twice, whole and culled: `python examples/cull_and_render.py SCENE.blend OUT`.
+"""Culls a scene by light paths and renders it twice, whole and culled: `python examples/cull_and_render.py SCENE.blend
+OUT`.
 
 Shows the steps one by one. In one call: `lipac.render("SCENE.blend", "OUT", max_error=0.01)`.
 """
@@ -26,10 +27,16 @@ def main(scene: str, folder: Path) -> None:
     """Cull, render, and put everything back."""
     analysis = lipac.analyze(scene, max_error=0.01, options=lipac.CullOptions(seed=1))
     print(f"{int((analysis.state == 2).sum())} of {len(analysis.state)} instances stay")
-    print(f"the picture changes by no more than {analysis.entry['certified_mean']:.2%} in the mean, with a confidence of {analysis.entry['confidence']:.0%}")
+    print(
+        f"the picture changes by no more than {analysis.entry['certified_mean']:.2%} in the mean, with a confidence of "
+        f"{analysis.entry['confidence']:.0%}"
+    )
     whole = rendered(folder / "whole.png")
     applied = lipac.apply(analysis)
-    print(f"{int(applied.removed.sum())} instances are taken out of renders; kept although culled: {applied.kept or 'none'}")
+    print(
+        f"{int(applied.removed.sum())} instances are taken out of renders; kept although culled: "
+        f"{applied.kept or 'none'}"
+    )
     culled = rendered(folder / "culled.png")
     lipac.restore()
     print(f"{whole:.1f} s whole, {culled:.1f} s culled")

@@ -19,7 +19,8 @@ def debugging() -> bool:
 
 @contextmanager
 def muted() -> Iterator[None]:
-    """Redirect what Python prints and what is written to file descriptors 1 and 2: shown on stderr where LIPAC_DEBUG is set, else dropped."""
+    """Redirect what Python prints and what is written to file descriptors 1 and 2: shown on stderr where LIPAC_DEBUG is
+    set, else dropped."""
     _flush()
     with ExitStack() as stack:
         sink = os.dup(2) if debugging() else os.open(os.devnull, os.O_WRONLY)

@@ -1,7 +1,8 @@
 """A dependency graph in render mode, without rendering anything.
 
-`context.evaluated_depsgraph_get()` evaluates what the viewport shows: viewport subdivision levels, viewport particle counts, `hide_viewport`. What Cycles
-sees exists only inside a render. So a render is started with an engine of our own, which hands its graph to a callback and draws nothing.
+`context.evaluated_depsgraph_get()` evaluates what the viewport shows: viewport subdivision levels, viewport particle
+counts, `hide_viewport`. What Cycles sees exists only inside a render. So a render is started with an engine of our own,
+which hands its graph to a callback and draws nothing.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class ExtractEngine(bpy.types.RenderEngine):
     lipac_served: object = None  # whose it was last
 
     def render(self, depsgraph: Any) -> None:
-        """Called by Blender, on the thread that started the render when in background. An engine that Blender keeps has kept its graph."""
+        """Called by Blender, on the thread that started the render when in background. An engine that Blender keeps has
+        kept its graph."""
         goes_on, self.lipac_served = self.lipac_served is ExtractEngine.owner, ExtractEngine.owner
         if ExtractEngine.callback is not None:
             ExtractEngine.running = self
@@ -57,8 +59,8 @@ def _registered() -> Iterator[None]:
 def changed(target: Any, **values: Any) -> Iterator[None]:
     """Sets properties of a Blender struct, and puts the old values back: all that can be, whatever becomes of one.
 
-    An enumeration may hold a value that it has no name for, as the colour mode of a film whose codec lacks it. It reads "" and cannot be written; Blender then
-    goes by what it was set to.
+    An enumeration may hold a value that it has no name for, as the colour mode of a film whose codec lacks it. It reads
+    "" and cannot be written; Blender then goes by what it was set to.
     """
     old = {name: getattr(target, name) for name in values}
     with ExitStack() as stack:
@@ -77,10 +79,11 @@ def render_result() -> Any | None:
 
 @contextmanager
 def own_slot() -> Iterator[None]:
-    """Renders within the block leave the user's Render Result alone, which may not be saved yet: they go into a slot of ours, which stays for the next time.
+    """Renders within the block leave the user's Render Result alone, which may not be saved yet: they go into a slot of
+    ours, which stays for the next time.
 
-    Only for renders of the scene that the user renders, or such that follow on one in our slot: Blender moves the result of the slot that was rendered last
-    out of the way of a render of its own scene alone.
+    Only for renders of the scene that the user renders, or such that follow on one in our slot: Blender moves the
+    result of the slot that was rendered last out of the way of a render of its own scene alone.
     """
     image = render_result()
     if image is None:
@@ -99,7 +102,8 @@ def own_slot() -> Iterator[None]:
 
 
 def go_to(scene: Any, frame: float) -> None:
-    """Make a frame, perhaps between two, the scene's current one. Nothing is evaluated, but for frames before 0, which Blender's properties take for 0."""
+    """Make a frame, perhaps between two, the scene's current one. Nothing is evaluated, but for frames before 0, which
+    Blender's properties take for 0."""
     if frame < 0 and frame != scene.frame_float:
         whole = math.floor(frame)
         scene.frame_set(whole, subframe=frame - whole)
@@ -108,7 +112,8 @@ def go_to(scene: Any, frame: float) -> None:
 
 
 def show_frame(scene: Any, number: int) -> None:
-    """Make a frame the current one, as `go_to`; a scene that is there already may be between it and the next one, and stays."""
+    """Make a frame the current one, as `go_to`; a scene that is there already may be between it and the next one, and
+    stays."""
     if number != scene.frame_current:
         go_to(scene, number)
 
@@ -131,7 +136,8 @@ def no_new_images() -> Iterator[None]:
 
 @contextmanager
 def _some_camera(scene: Any) -> Iterator[None]:
-    """A render needs a camera object; without one a stand-in at the origin is linked for as long as the render lasts."""
+    """A render needs a camera object; without one a stand-in at the origin is linked for as long as the render
+    lasts."""
     if scene.camera is not None:
         yield
         return
@@ -148,11 +154,14 @@ def _some_camera(scene: Any) -> Iterator[None]:
 
 
 class RenderGraph:
-    """The dependency graph of final renders of a scene, kept from frame to frame, so that Blender evaluates only what changes.
+    """The dependency graph of final renders of a scene, kept from frame to frame, so that Blender evaluates only what
+    changes.
 
-    While it is held the scene's render engine and some of its render settings are ours (Freestyle is off: it ends the process where an engine draws nothing);
-    the user's Render Result is left alone; `release` puts them back, and Blender frees the graph. A render of
-    another engine makes Blender free the graph, too: the next frame then gets a new one. No other render can be started inside a callback.
+    While it is held the scene's render engine and some of its render settings are ours (Freestyle is off: it ends the
+    process where an engine draws nothing); the user's Render Result is left alone; `release` puts them back, and
+    Blender frees the graph. A render of
+    another engine makes Blender free the graph, too: the next frame then gets a new one. No other render can be started
+    inside a callback.
     """
 
     def __init__(self, scene: Any, view_layer: str | None = None) -> None:
@@ -162,9 +171,11 @@ class RenderGraph:
         self._held: ExitStack | None = None
 
     def evaluate(self, callback: Callable[[Any, bool], T], keep: bool = True) -> T:
-        """Calls `callback(depsgraph, goes_on)` with the graph at the scene's current frame, and returns what it returns.
+        """Calls `callback(depsgraph, goes_on)` with the graph at the scene's current frame, and returns what it
+        returns.
 
-        goes_on: it is the graph of the last call, so `depsgraph.updates` lists all that changed. keep: hold the graph for the next call.
+        goes_on: it is the graph of the last call, so `depsgraph.updates` lists all that changed. keep: hold the graph
+        for the next call.
         Evaluated data may change or die when this returns, so the callback must copy what it needs.
         Raises whatever the callback raises, and InputError when the scene cannot be rendered.
         """
@@ -193,9 +204,16 @@ class RenderGraph:
         with ExitStack() as stack:
             stack.enter_context(_registered())
             stack.enter_context(no_new_images())
-            ours = {"use_persistent_data": keep, "use_compositing": False, "use_sequencer": False, "use_multiview": False, "use_freestyle": False}
+            ours = {
+                "use_persistent_data": keep,
+                "use_compositing": False,
+                "use_sequencer": False,
+                "use_multiview": False,
+                "use_freestyle": False,
+            }
             stack.enter_context(changed(render, engine=ENGINE, **ours))
-            for layer in self.scene.view_layers:  # Blender evaluates and renders all that are used, whatever the operator is told
+            # Blender evaluates and renders all that are used, whatever the operator is told
+            for layer in self.scene.view_layers:
                 if layer.use != (layer.name == self.layer):
                     stack.enter_context(changed(layer, use=layer.name == self.layer))
             self._held = stack.pop_all()
@@ -216,21 +234,30 @@ class RenderGraph:
                 bpy.ops.render.render(layer=self.layer, scene=self.scene.name)
             except RuntimeError as error:
                 if not errors:
-                    raise InputError(f"the scene {self.scene.name!r} cannot be rendered: {str(error).strip()}") from error
+                    raise InputError(
+                        f"the scene {self.scene.name!r} cannot be rendered: {str(error).strip()}"
+                    ) from error
             finally:
                 ExtractEngine.callback = ExtractEngine.owner = None
         if errors:
             raise errors[0]
         if not results:
-            raise InputError(f"the scene {self.scene.name!r} was not rendered: view layer {self.layer!r} is disabled or the render was cancelled")
+            raise InputError(
+                f"the scene {self.scene.name!r} was not rendered: view layer {self.layer!r} is disabled or the render "
+                "was cancelled"
+            )
         return results[0]
 
 
-def with_render_depsgraph(scene: Any, frame: int | None, callback: Callable[[Any], T], view_layer: str | None = None) -> T:
-    """Calls `callback(depsgraph)` with the graph that a final render of `scene` at `frame` would get, and returns what it returns.
+def with_render_depsgraph(
+    scene: Any, frame: int | None, callback: Callable[[Any], T], view_layer: str | None = None
+) -> T:
+    """Calls `callback(depsgraph)` with the graph that a final render of `scene` at `frame` would get, and returns what
+    it returns.
 
-    frame: None keeps the current frame, which stays afterwards. The graph and all evaluated data die when this returns, so the callback must copy what it needs
-    (`extract` does: its result lives on by itself). Raises as `RenderGraph.evaluate`.
+    frame: None keeps the current frame, which stays afterwards. The graph and all evaluated data die when this returns,
+    so the callback must copy what it needs (`extract` does: its result lives on by itself). Raises as
+    `RenderGraph.evaluate`.
     """
     if frame is not None and frame != scene.frame_current:
         scene.frame_set(frame)

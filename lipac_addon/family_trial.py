@@ -1,4 +1,5 @@
-"""Does a budget hold? One scene of `family`: analysed, culled, and judged by Cycles, whose pictures and random numbers the analysis knows nothing of."""
+"""Does a budget hold? One scene of `family`: analysed, culled, and judged by Cycles, whose pictures and random numbers
+the analysis knows nothing of."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ from .extract import extract_frame
 from .pictures import read_picture
 
 SAMPLES = 64  # of the first pairs
-LOOKS = 3  # at most, each by pairs of twice the samples of the one before: the last ones where the budget may hold and may not
+# at most, each by pairs of twice the samples of the one before: the last ones where the budget may hold and may not
+LOOKS = 3
 PAIRS = 2  # of a look
 JUDGED = ("luminance", "colour")  # by which a budget counts as held; detail is told beside it
 SEED = 900_000_000  # of the judge's random numbers, from here on
@@ -35,7 +37,8 @@ FIGURES = ("certified_", "unknown_", "predicted_", "calibrated_", "confidence")
 
 
 def verdict(times: Range) -> str:
-    """In a word, of how many times the budget a change surely is: "held", "broken", "twice" (beyond twice the budget), or "open", where noise leaves that."""
+    """In a word, of how many times the budget a change surely is: "held", "broken", "twice" (beyond twice the budget),
+    or "open", where noise leaves that."""
     if times.low > 2:
         return "twice"
     if times.low > 1:
@@ -43,10 +46,17 @@ def verdict(times: Range) -> str:
     return "held" if times.high <= 1 else "open"
 
 
-def run(seed: int, size: tuple[int, int] = family.SIZE, samples: int = SAMPLES, threads: int = 0, instances: int | None = None) -> dict[str, Any]:
+def run(
+    seed: int,
+    size: tuple[int, int] = family.SIZE,
+    samples: int = SAMPLES,
+    threads: int = 0,
+    instances: int | None = None,
+) -> dict[str, Any]:
     """Build, analyse and judge the scene of a seed; what the record of it holds. The open file is replaced.
 
-    size: of the pictures; samples: per pixel, of the first pairs; instances: rows of the scatter, None as the seed draws. Raises InputError.
+    size: of the pictures; samples: per pixel, of the first pairs; instances: rows of the scatter, None as the seed
+    draws. Raises InputError.
     """
     drawn = family.draw(seed)
     with muted():
@@ -58,11 +68,20 @@ def run(seed: int, size: tuple[int, int] = family.SIZE, samples: int = SAMPLES, 
     with muted():
         extraction = extract_frame(scene, scene.frame_current)
     synced = time.perf_counter()
-    result = analyze(extraction.scene, CullOptions(max_error=Budget(drawn.mean, drawn.worst), seed=seed, threads=threads))
+    result = analyze(
+        extraction.scene, CullOptions(max_error=Budget(drawn.mean, drawn.worst), seed=seed, threads=threads)
+    )
     record |= {"sync_s": synced - start, "analysis_s": time.perf_counter() - start}
     culled = np.asarray(result.state == State.CULLED)
-    record |= {"instances": len(culled), "active": int((~culled).sum()), "figures": {k: v for k, v in result.stats.items() if k.startswith(FIGURES)}}
-    record |= {"approximated": list(extraction.scene.approximated), "warnings": [*extraction.warnings, *result.warnings]}
+    record |= {
+        "instances": len(culled),
+        "active": int((~culled).sum()),
+        "figures": {k: v for k, v in result.stats.items() if k.startswith(FIGURES)},
+    }
+    record |= {
+        "approximated": list(extraction.scene.approximated),
+        "warnings": [*extraction.warnings, *result.warnings],
+    }
     keys = extraction.keys
     del extraction, result
     gc.collect()
@@ -83,8 +102,11 @@ def warm(threads: int = 0) -> None:
     analyze(scene, CullOptions(threads=threads))
 
 
-def judged(apply: Callable[[], None], mean: float, worst: float, samples: int, threads: int, seed: int) -> dict[str, Any]:
-    """The verdict on the open file: rendered by Cycles as it is, and with what `apply` takes out of it, which is put back.
+def judged(
+    apply: Callable[[], None], mean: float, worst: float, samples: int, threads: int, seed: int
+) -> dict[str, Any]:
+    """The verdict on the open file: rendered by Cycles as it is, and with what `apply` takes out of it, which is put
+    back.
 
     mean, worst: the budget. Where noise does not let it be told there are more looks, LOOKS in all.
     """
@@ -105,7 +127,9 @@ def judged(apply: Callable[[], None], mean: float, worst: float, samples: int, t
             pairs.add(full, other, each)
         changes = pairs.changes()
         times = {name: changes[name].times(mean, worst) for name in MEASURES}
-        if all(verdict(times[name]) in ("held", "twice") for name in JUDGED) or any(verdict(times[name]) == "twice" for name in JUDGED):
+        if all(verdict(times[name]) in ("held", "twice") for name in JUDGED) or any(
+            verdict(times[name]) == "twice" for name in JUDGED
+        ):
             break
         if look > 0 and any(verdict(times[name]) == "broken" for name in JUDGED):
             break

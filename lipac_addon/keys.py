@@ -3,9 +3,10 @@
 A `Records` array of KEY, one per instance of `core.scene.model.Instances`, beside a table of names:
 
 kind: how Blender makes the instance (`Kind`).
-host: name of the object at the top that instances it (-1 for a real object). object: name of the object that is instanced (-1: a geometry without an object).
-path: index at each level of instancing, outermost first, -1 padded. For geometry nodes path[0] is the row in the host's instance point cloud, that is, what a
-mask of the write-back addresses; deeper levels index nested instance clouds, or the object's place in an instanced collection.
+host: name of the object at the top that instances it (-1 for a real object). object: name of the object that is
+instanced (-1: a geometry without an object). path: index at each level of instancing, outermost first, -1 padded. For
+geometry nodes path[0] is the row in the host's instance point cloud, that is, what a mask of the write-back addresses;
+deeper levels index nested instance clouds, or the object's place in an instanced collection.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ KEY = np.dtype([("kind", "u1"), ("host", "i4"), ("object", "i4"), ("path", "i4",
 
 @dataclass(frozen=True)
 class Keys:
-    """records: (N,) of KEY; names: full names of objects (library path and name joined by a newline for linked ones)."""
+    """records: (N,) of KEY; names: full names of objects (library path and name joined by a newline for linked
+    ones)."""
 
     records: Records
     names: tuple[str, ...]
@@ -44,7 +46,11 @@ class Keys:
 
 def any_of(records: Records, others: Sequence[Records]) -> NDArray[np.bool_]:
     """(N,) bool, records of KEY that are among others; names as in one table."""
-    return np.isin(packed(records), np.concatenate([packed(other) for other in others])) if others else np.zeros(len(records), bool)
+    return (
+        np.isin(packed(records), np.concatenate([packed(other) for other in others]))
+        if others
+        else np.zeros(len(records), bool)
+    )
 
 
 def packed(records: Records) -> NDArray[np.void]:

@@ -26,7 +26,12 @@ _EVEN = 1.0  # spread of an error over the tiles of a hybrid picture, which show
 
 @overload
 def analyze(
-    scene: Scene, max_error: float | Budget = 0.01, *, options: CullOptions | None = None, frame: None = None, progress: Progress = silent
+    scene: Scene,
+    max_error: float | Budget = 0.01,
+    *,
+    options: CullOptions | None = None,
+    frame: None = None,
+    progress: Progress = silent,
 ) -> CullingResult: ...
 @overload
 def analyze(
@@ -48,16 +53,18 @@ def analyze(
     """Decide which instances of a frame light paths need.
 
     Parameters:
-        scene: a file (.blend, .glb, .gltf, .usd*, .obj, .ply, .stl), which is opened in place of the open one; the open scene of Blender, or None for it; or
+        scene: a file (.blend, .glb, .gltf, .usd*, .obj, .ply, .stl), which is opened in place of the open one; the open
+        scene of Blender, or None for it; or
             arrays (`lipac.core.scene.model.Scene`), for which Blender is not loaded.
-        max_error: how much the mean luminance of the picture's 16 x 9 tiles may change, as a share: 0.01 is 1 %. The worst tile may change by five times as
+        max_error: how much the mean luminance of the picture's 16 x 9 tiles may change, as a share: 0.01 is 1 %. The
+        worst tile may change by five times as
             much; a `Budget` gives both bounds.
         options: all else, such as the policy, seed, threads; its own budget counts for nothing.
         frame: to analyse; None: the scene's current one.
         progress: called with a share from 0 to 1 (NaN where unknown) and a text.
 
-    Returns states (0 culled, 1 pending, 2 active), scores, hits per ray type and figures of N instances; of a Blender scene also the keys that find these
-    again. What an earlier `apply` hid is shown again before the scene is read.
+    Returns states (0 culled, 1 pending, 2 active), scores, hits per ray type and figures of N instances; of a Blender
+    scene also the keys that find these again. What an earlier `apply` hid is shown again before the scene is read.
 
     Raises `InputError` where the scene cannot be opened or rendered, MemoryError where there is not enough.
     """
@@ -77,10 +84,11 @@ def analyze(
 
 
 def apply(analysis: Decided) -> WritebackResult:
-    """Cull renders of the open file by an analysis of it, by Cycles or EEVEE, until `restore`. What an earlier call did is taken back first.
+    """Cull renders of the open file by an analysis of it, by Cycles or EEVEE, until `restore`. What an earlier call did
+    is taken back first.
 
-    Returns which instances a render no longer meets, and why others could not be removed. Nothing is written to disk; the viewport stays as it is.
-    All or nothing: where something fails half-way, it raises that, and nothing is applied.
+    Returns which instances a render no longer meets, and why others could not be removed. Nothing is written to disk;
+    the viewport stays as it is. All or nothing: where something fails half-way, it raises that, and nothing is applied.
     """
     from .writeback import apply as write
 
@@ -88,7 +96,8 @@ def apply(analysis: Decided) -> WritebackResult:
 
 
 def restore() -> bool:
-    """Take back all that `apply` did in the open file, exactly, also where the file was saved and loaded since; True where there was something."""
+    """Take back all that `apply` did in the open file, exactly, also where the file was saved and loaded since; True
+    where there was something."""
     from .writeback import restore as take_back
 
     return take_back()
@@ -105,7 +114,8 @@ def render(
     options: CullOptions | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Analyse frames and render each culled: pictures (frame_0001.exr and .png), states and report.json in the folder `output`.
+    """Analyse frames and render each culled: pictures (frame_0001.exr and .png), states and report.json in the folder
+    `output`.
 
     Parameters:
         scene, max_error, options, progress: as of `analyze`; arrays cannot be rendered to files.
@@ -129,7 +139,9 @@ def render(
     wanted = _options(max_error, options, _EVEN if engine == "hybrid" else SPREAD)
     folder = output_folder(Path(output))
     job = Job(folder, tuple(frames) or (opened.frame_current,), wanted, engine, samples, wanted.seed, wanted.threads)
-    report = Report(bpy.data.filepath, bpy.app.version_string, __version__, wanted.policy, engine, wanted.seed, wanted.threads)
+    report = Report(
+        bpy.data.filepath, bpy.app.version_string, __version__, wanted.policy, engine, wanted.seed, wanted.threads
+    )
     run(job, report, progress)
     return report
 

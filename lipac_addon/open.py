@@ -27,7 +27,11 @@ IMPORTERS: dict[str, Callable[..., Any]] = {
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), bpy.ops.wm.usd_import),
 }
 # glTF extensions whose decoders Blender's Python module does not carry
-_DECODERS = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt", "KHR_meshopt_compression": "meshopt"}
+_DECODERS = {
+    "KHR_draco_mesh_compression": "Draco",
+    "EXT_meshopt_compression": "meshopt",
+    "KHR_meshopt_compression": "meshopt",
+}
 _GREY = (0.5, 0.5, 0.5)
 AUTO = "auto"
 _GLB_JSON = 0x4E4F534A
@@ -37,8 +41,9 @@ _FAR = 1e18  # metres; what is beyond is nothing to frame
 def open_scene(path: Path) -> None:
     """Open or import the scene file `path`; scripts in the file are not run.
 
-    Formats: .blend, glTF, OBJ, PLY, STL, USD. Imported scenes get a camera that frames them, and a sun and a grey world, where they bring none.
-    Raises InputError: no such file, a folder, an unknown format, damaged or empty, compressed by what cannot be decoded, nothing to render in an import.
+    Formats: .blend, glTF, OBJ, PLY, STL, USD. Imported scenes get a camera that frames them, and a sun and a grey
+    world, where they bring none. Raises InputError: no such file, a folder, an unknown format, damaged or empty,
+    compressed by what cannot be decoded, nothing to render in an import.
     """
     if path.is_dir():
         raise InputError(f"{path} is a folder; name a scene file in it")
@@ -61,14 +66,17 @@ def open_scene(path: Path) -> None:
 
 
 def leave_modes() -> None:
-    """Back to Object Mode, with whatever was being edited or sculpted when the file was saved: it is rendered just so, and its faces can be read."""
+    """Back to Object Mode, with whatever was being edited or sculpted when the file was saved: it is rendered just so,
+    and its faces can be read."""
     for ob in [ob for ob in bpy.data.objects if ob.mode != "OBJECT"]:
-        with muted(), suppress(RuntimeError), bpy.context.temp_override(active_object=ob, object=ob):  # what cannot leave is named by the extraction
+        # what cannot leave is named by the extraction
+        with muted(), suppress(RuntimeError), bpy.context.temp_override(active_object=ob, object=ob):
             bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def use_camera(scene: bpy.types.Scene, name: str) -> None:
-    """Make the object `name` the scene's camera; 'auto' adds one that frames everything. Raises InputError where there is none of that name."""
+    """Make the object `name` the scene's camera; 'auto' adds one that frames everything. Raises InputError where there
+    is none of that name."""
     if name == AUTO:
         frame_everything(scene)
         return
@@ -102,7 +110,9 @@ def _check_files() -> None:
             with suppress(OSError, ValueError):
                 kind = path.stat().st_mode
                 if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
-                    raise InputError(f"image {image.name!r} is no picture but a pipe or a device: {path}; give it a file")
+                    raise InputError(
+                        f"image {image.name!r} is no picture but a pipe or a device: {path}; give it a file"
+                    )
 
 
 def _call(operator: Callable[..., Any], path: Path, **arguments: object) -> None:
@@ -139,11 +149,15 @@ def _check_gltf(path: Path) -> None:
         raise InputError(f"cannot read {path}: it is truncated or not glTF; export it again") from error
     for name in required:
         if name in _DECODERS:
-            raise InputError(f"cannot read {path}: its meshes are compressed by {_DECODERS[name]} ({name}); export it again without compression")
+            raise InputError(
+                f"cannot read {path}: its meshes are compressed by {_DECODERS[name]} ({name}); export it again without "
+                "compression"
+            )
 
 
 def _glb_json(path: Path) -> bytes:
-    """The JSON chunk of a binary glTF file (glTF 2.0 specification, section 4.4). Raises ValueError where the file is not whole."""
+    """The JSON chunk of a binary glTF file (glTF 2.0 specification, section 4.4). Raises ValueError where the file is
+    not whole."""
     with path.open("rb") as file:
         magic, _version, length, size, kind = struct.unpack("<4sIIII", file.read(20))
         data = file.read(size)

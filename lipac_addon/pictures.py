@@ -1,4 +1,5 @@
-"""Pictures on disk: frame_0001.exr (linear float) and frame_0001.png (as displayed, with the scene's view transform)."""
+"""Pictures on disk: frame_0001.exr (linear float) and frame_0001.png (as displayed, with the scene's view
+transform)."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ def save_pixels(pixels: F32, scene: bpy.types.Scene, stem: Path) -> None:
 
 
 def read_picture(path: Path) -> F32:
-    """A saved picture, (H, W, 4) float32, rows bottom up: an .exr in linear Rec.709, a .png as displayed (sRGB, 0 to 1).
+    """A saved picture, (H, W, 4) float32, rows bottom up: an .exr in linear Rec.709, a .png as displayed (sRGB, 0 to
+    1).
 
     Raises InputError where it cannot be read.
     """
@@ -61,14 +63,17 @@ def read_picture(path: Path) -> F32:
 
 
 def _save(image: bpy.types.Image, scene: bpy.types.Scene, stem: Path) -> None:
-    """Raises OSError where a picture cannot be written whole, which Blender does not say itself: a full disk, a folder that is gone."""
+    """Raises OSError where a picture cannot be written whole, which Blender does not say itself: a full disk, a folder
+    that is gone."""
     for suffix in _FORMATS:
         path = stem.with_name(stem.name + suffix)
         with replacing(path) as part, saved_as(scene, suffix):
             try:
                 image.save_render(str(part), scene=scene)
             except RuntimeError as error:
-                raise OSError(errno.EIO, str(error).strip().removeprefix("Error: ").splitlines()[0], str(path)) from error
+                raise OSError(
+                    errno.EIO, str(error).strip().removeprefix("Error: ").splitlines()[0], str(path)
+                ) from error
 
 
 @contextmanager

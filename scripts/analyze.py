@@ -10,9 +10,12 @@ def main(argv: Sequence[str]) -> int:
     from pathlib import Path
 
     from ..core.errors import InputError
-    from .options import do_frames, scene_parser
+    from .command.frames import do_frames
+    from .command.options import scene_parser
 
-    parser = scene_parser("analyze", "Decide which instances of a scene light paths need: states per frame and report.json.")
+    parser = scene_parser(
+        "analyze", "Decide which instances of a scene light paths need: states per frame and report.json."
+    )
     saved = "with --bake shot: save a copy of the scene with the set baked in, which any Blender renders"
     parser.add_argument("--save", type=Path, metavar="FILE.blend", help=saved)
     args = parser.parse_args(argv)

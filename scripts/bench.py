@@ -30,16 +30,29 @@ CITY_OPTIONS = ("--resolution", "320x180", "--samples", "4")
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run what is not measured yet, write benchmarks.json, benchmarks.md and animation.md, print them; returns the exit status."""
+    """Run what is not measured yet, write benchmarks.json, benchmarks.md and animation.md, print them; returns the exit
+    status."""
     from ..core.files.report import output_folder
-    from .options import Parser
+    from .command.options import Parser
 
-    parser = Parser(prog="lipac bench", description="Measure against peers, and animated scenes; parts already measured in DIR are kept.")
+    parser = Parser(
+        prog="lipac bench",
+        description="Measure against peers, and animated scenes; parts already measured in DIR are kept.",
+    )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
-    what = "measure only this part, again; may be repeated. animation: what is not measured yet of animated scenes, instead of peers; gpu: on graphics cards"
+    what = (
+        "measure only this part, again; may be repeated. animation: what is not measured yet of animated scenes, "
+        "instead of peers; gpu: on graphics cards"
+    )
     parser.add_argument("--only", choices=(*PARTS, "animation", GPU), action="append", help=what)
-    parser.add_argument("--repeats", type=int, default=3, help="runs of each command of the part 'city' (default: %(default)s)")
-    parser.add_argument("--run", choices=PARTS, help="measure one part in this process and write DIR/PART.json (what the parts' processes are called with)")
+    parser.add_argument(
+        "--repeats", type=int, default=3, help="runs of each command of the part 'city' (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--run",
+        choices=PARTS,
+        help="measure one part in this process and write DIR/PART.json (what the parts' processes are called with)",
+    )
     _add_gpu_options(parser)
     args = parser.parse_args(argv)
     folder = output_folder(args.output)
@@ -56,10 +69,23 @@ def main(argv: Sequence[str]) -> int:
     again = [name for name in only if name != "animation"]
     for name in again + [part for part in group if not (folder / f"{part}.json").exists()]:
         print(f"measuring {name}", file=sys.stderr, flush=True)
-        command = [sys.executable, "-m", "lipac.scripts.lipac", "bench", "-o", str(folder), "--run", name, "--repeats", str(args.repeats)]
+        command = [
+            sys.executable,
+            "-m",
+            "lipac.scripts.lipac",
+            "bench",
+            "-o",
+            str(folder),
+            "--run",
+            name,
+            "--repeats",
+            str(args.repeats),
+        ]
         if subprocess.run(command, stdout=sys.stderr, check=False).returncode:
             print(f"lipac bench: part '{name}' failed and is left out", file=sys.stderr)
-    results = {name: json.loads((folder / f"{name}.json").read_text()) for name in PARTS if (folder / f"{name}.json").exists()}
+    results = {
+        name: json.loads((folder / f"{name}.json").read_text()) for name in PARTS if (folder / f"{name}.json").exists()
+    }
     peers = {name: results[name] for name in PEERS if name in results}
     if peers:
         text = report(peers)
@@ -68,14 +94,14 @@ def main(argv: Sequence[str]) -> int:
         print(text)
     animated = {name: results[name] for name in ANIMATION if name in results}
     if animated:
-        from .studies.animation_report import write
+        from .studies.animation.report import write
 
         print(write(folder, animated))
     return 0
 
 
 def _add_gpu_options(parser: argparse.ArgumentParser) -> None:
-    from .arguments import resolution
+    from .command.arguments import resolution
     from .studies.bench_gpu import DEVICES, SCENES, WAYS, Plan
 
     plan, gpu = Plan(), parser.add_argument_group("--only gpu")
@@ -84,15 +110,33 @@ def _add_gpu_options(parser: argparse.ArgumentParser) -> None:
         return text.split(",")
 
     known = ",".join(f"{name}:{count}" for name, count in SCENES.items())
-    gpu.add_argument("--scenes", type=some, default=[*SCENES], metavar="NAME[:N],...", help=f"with so many instances (default: {known})")
     gpu.add_argument(
-        "--devices", type=some, default=[*DEVICES], metavar="NAME,...", help=f"as of lipac render --device, or eevee (default: {','.join(DEVICES)})"
+        "--scenes",
+        type=some,
+        default=[*SCENES],
+        metavar="NAME[:N],...",
+        help=f"with so many instances (default: {known})",
+    )
+    gpu.add_argument(
+        "--devices",
+        type=some,
+        default=[*DEVICES],
+        metavar="NAME,...",
+        help=f"as of lipac render --device, or eevee (default: {','.join(DEVICES)})",
     )
     gpu.add_argument("--samples", type=some, default=["32", "128"], metavar="N,...", help="per pixel (default: 32,128)")
     gpu.add_argument("--ways", type=some, default=[*WAYS], metavar="NAME,...", help=f"default: {','.join(WAYS)}")
     gpu.add_argument("--size", type=resolution, default=plan.size, metavar="WxH", help="default: 1920x1080")
-    gpu.add_argument("--limit", type=float, default=plan.limit, metavar="S", help="seconds of one measurement (default: %(default)g)")
-    gpu.add_argument("--within", type=float, default=plan.within, metavar="S", help="seconds of the whole call; another goes on (default: %(default)g)")
+    gpu.add_argument(
+        "--limit", type=float, default=plan.limit, metavar="S", help="seconds of one measurement (default: %(default)g)"
+    )
+    gpu.add_argument(
+        "--within",
+        type=float,
+        default=plan.within,
+        metavar="S",
+        help="seconds of the whole call; another goes on (default: %(default)g)",
+    )
     gpu.add_argument("--again", action="store_true", help="measure what was measured before, too")
 
 
@@ -113,7 +157,16 @@ def _gpu(folder: Path, args: argparse.Namespace) -> int:
     if wrong := [number for number in [*counts, *args.samples] if not number.isdecimal() or not int(number)]:
         raise InputError(f"'{wrong[0]}' is no number of instances or samples")
     scenes = {name: int(count) for (name, *_), count in zip(named, counts, strict=True)}
-    plan = Plan(scenes, tuple(args.devices), tuple(map(int, args.samples)), tuple(args.ways), args.size, args.limit, args.within, args.again)
+    plan = Plan(
+        scenes,
+        tuple(args.devices),
+        tuple(map(int, args.samples)),
+        tuple(args.ways),
+        args.size,
+        args.limit,
+        args.within,
+        args.again,
+    )
     print(run(folder, plan))
     return 0
 
@@ -124,17 +177,27 @@ def measure(name: str, folder: Path, repeats: int) -> dict[str, Any]:
         return extraction()
     if name == "city":
         return city(folder, repeats)
-    from .studies import bench_animation, bench_flythrough, bench_tracing
+    from .studies import bench_paths, bench_tracing
+    from .studies.animation import bench_animation, bench_flythrough
 
-    module = bench_flythrough if name in FLYTHROUGH else bench_animation if name in ANIMATION else bench_tracing
+    module = (
+        bench_flythrough
+        if name in FLYTHROUGH
+        else bench_animation
+        if name in ANIMATION
+        else bench_paths
+        if name == "paths"
+        else bench_tracing
+    )
     part: dict[str, Any] = getattr(module, name)(folder)
     return part
 
 
 def extraction() -> dict[str, Any]:
-    """Seconds to pull a million geometry-nodes instances out of Blender (transforms, references and what they refer to), to make a whole core scene of them
-    (composed transforms, bounds, flags, keys), and to go through `object_instances`: touching each instance's matrix and object, and reading what tells
-    instances apart into arrays."""
+    """Seconds to pull a million geometry-nodes instances out of Blender (transforms, references and what they refer
+    to), to make a whole core scene of them (composed transforms, bounds, flags, keys), and to go through
+    `object_instances`: touching each instance's matrix and object, and reading what tells instances apart into
+    arrays."""
     import bpy
     import numpy as np
 
@@ -176,7 +239,8 @@ def extraction() -> dict[str, Any]:
 
 
 def city(folder: Path, repeats: int) -> dict[str, Any]:
-    """mirror-city with a million instances: full and culled Cycles renders as whole commands, their peak memory, and the error."""
+    """mirror-city with a million instances: full and culled Cycles renders as whole commands, their peak memory, and
+    the error."""
     scene = folder / "city.blend"
     compare.lipac("demo", "mirror-city", "-o", scene, "--instances", str(CITY))
     runs: dict[str, list[dict[str, Any]]] = {FULL: [], CULLED: []}
@@ -189,14 +253,24 @@ def city(folder: Path, repeats: int) -> dict[str, Any]:
     def median(name: str, value: Any) -> float:
         return statistics.median(value(run) for run in runs[name])
 
-    out: dict[str, Any] = {"command": " ".join(("lipac render city.blend --engine cycles", *CITY_OPTIONS)), "error": compare.errors(folder)}
+    out: dict[str, Any] = {
+        "command": " ".join(("lipac render city.blend --engine cycles", *CITY_OPTIONS)),
+        "error": compare.errors(folder),
+    }
     for name, done in runs.items():
         frames = [run["frames"][0] for run in done]
         seconds = {key: statistics.median(f[key] for f in frames) for key in frames[0] if key.endswith("_s")}
         counts = {key: frames[-1][key] for key in ("instances", "active", "hitboxes", "blas_bytes", "tlas_bytes")}
         # From the open file to the picture: the interpreter's start and the reading of the file are the same for both.
-        out[name] = seconds | counts | {"work_s": median(name, lambda r: sum(v for k, v in r["frames"][0].items() if k in SECONDS))}
-        out[name] |= {"process_s": median(name, lambda r: r["process_s"]), "peak_bytes": median(name, lambda r: r["totals"]["peak_bytes"])}
+        out[name] = (
+            seconds
+            | counts
+            | {"work_s": median(name, lambda r: sum(v for k, v in r["frames"][0].items() if k in SECONDS))}
+        )
+        out[name] |= {
+            "process_s": median(name, lambda r: r["process_s"]),
+            "peak_bytes": median(name, lambda r: r["totals"]["peak_bytes"]),
+        }
     return out
 
 
@@ -212,7 +286,14 @@ def report(results: dict[str, Any]) -> str:
             rows.append(("rays with feedback", "bare Embree loop in C", "", "", results["rays"]["skipped"], ">= 0.85"))
         for case in results["rays"].get("cases", ()):
             what = f"rays with feedback: {case['rays']}, {case['case']}"
-            row(what, "bare Embree loop in C", f"{case['ours'] / 1e6:.2f} M/s", f"{case['bare'] / 1e6:.2f} M/s", case["ratio"], ">= 0.85")
+            row(
+                what,
+                "bare Embree loop in C",
+                f"{case['ours'] / 1e6:.2f} M/s",
+                f"{case['bare'] / 1e6:.2f} M/s",
+                case["ratio"],
+                ">= 0.85",
+            )
     if "feedback" in results:
         took = results["feedback"]["seconds"]
         more = took["measured"] + took["deciding"] - took["bare"]
@@ -223,18 +304,45 @@ def report(results: dict[str, Any]) -> str:
         for peer in (p for p in speeds if p != "ours"):
             target = ">= 1" if peer.startswith("Mitsuba") else ""
             ours, theirs = speeds["ours"], speeds[peer]
-            row("path tracing, 10,000 spheres", peer, f"{ours / 1e6:.2f} M paths/s", f"{theirs / 1e6:.2f} M paths/s", ours / theirs, target)
+            row(
+                "path tracing, 10,000 spheres",
+                peer,
+                f"{ours / 1e6:.2f} M paths/s",
+                f"{theirs / 1e6:.2f} M paths/s",
+                ours / theirs,
+                target,
+            )
     if "extraction" in results:
         took = results["extraction"]["seconds"]
-        for own, what, target in (("pull", "1M instances pulled out of Blender", ">= 50"), ("ours", "the same as a core scene", "")):
+        for own, what, target in (
+            ("pull", "1M instances pulled out of Blender", ">= 50"),
+            ("ours", "the same as a core scene", ""),
+        ):
             for key, label in (("read", "read into arrays"), ("touch", "matrix and object touched")):
-                row(what, f"object_instances, {label}", f"{took[own]:.3f} s", f"{took[key]:.2f} s", took[key] / took[own], target)
+                row(
+                    what,
+                    f"object_instances, {label}",
+                    f"{took[own]:.3f} s",
+                    f"{took[key]:.2f} s",
+                    took[key] / took[own],
+                    target,
+                )
     if "city" in results:
         full, culled, error = (results["city"][name] for name in (FULL, CULLED, "error"))
-        for key, label in (("work_s", "1M instances: open file to picture"), ("process_s", "1M instances: whole command")):
+        for key, label in (
+            ("work_s", "1M instances: open file to picture"),
+            ("process_s", "1M instances: whole command"),
+        ):
             row(label, "--cull none", f"{culled[key]:.1f} s", f"{full[key]:.1f} s", full[key] / culled[key], ">= 5")
         ours, theirs = culled["peak_bytes"], full["peak_bytes"]
-        row("1M instances: peak memory", "--cull none", compare.size(ours), compare.size(theirs), ours / theirs, "<= 0.4")
+        row(
+            "1M instances: peak memory",
+            "--cull none",
+            compare.size(ours),
+            compare.size(theirs),
+            ours / theirs,
+            "<= 0.4",
+        )
         for metric in ("flip", "relmse"):
             a, b = error[CULLED][metric], error[OTHER_SEED][metric]
             row(f"1M instances: error ({metric})", "another seed", f"{a:.4f}", f"{b:.4f}", a / b, "<= 1")
@@ -243,7 +351,10 @@ def report(results: dict[str, Any]) -> str:
         rows.append(("compiling all kernels, once", "", f"{took['compile_s']:.1f} s", "", "", "<= 40 s"))
         rows.append(("file open to a few pixels analysed, cached", "", f"{took['warm_s']:.1f} s", "", "", "<= 3 s"))
     machines = sorted({result["machine"] for result in results.values()})
-    notes = ["Ratios are ours to the peer's: speeds as they are, seconds inverted (the peer's over ours), memory, error and what feedback adds as they are."]
+    notes = [
+        "Ratios are ours to the peer's: speeds as they are, seconds inverted (the peer's over ours), memory, error "
+        "and what feedback adds as they are."
+    ]
     if "paths" in results:
         means = ", ".join(f"{name} {value:.4f}" for name, value in results["paths"]["mean_radiance"].items())
         notes.append(f"Mean radiance of the spheres: {means}. Cycles' speed is that of its sampling alone.")

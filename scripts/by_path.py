@@ -1,6 +1,8 @@
-"""How a script of this folder runs when Blender, or Python, is given its path: `blender -b FILE -P scripts/render.py -- ARGS`.
+"""How a script of this folder runs when Blender, or Python, is given its path: `blender -b FILE -P scripts/render.py --
+ARGS`.
 
-Its package is then not imported as such. It may be loaded already, as an installed package or an enabled extension; else it is loaded from the folder above.
+Its package is then not imported as such. It may be loaded already, as an installed package or an enabled extension;
+else it is loaded from the folder above.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ def run(command: str) -> int:
     try:
         main = importlib.import_module(f"{package()}.scripts.lipac").main
     except ImportError as error:
-        print(f"lipac: {error}; enable the LiPaC extension, or install its dependencies into this Python", file=sys.stderr)
+        print(
+            f"lipac: {error}; enable the LiPaC extension, or install its dependencies into this Python", file=sys.stderr
+        )
         return 2
     return int(main([command, *arguments]))

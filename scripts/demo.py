@@ -1,4 +1,5 @@
-"""`lipac demo NAME -o FILE.blend`: write a procedural scene. Also `blender -b -P scripts/demo.py -- NAME -o FILE.blend`."""
+"""`lipac demo NAME -o FILE.blend`: write a procedural scene. Also `blender -b -P scripts/demo.py -- NAME -o
+FILE.blend`."""
 
 from __future__ import annotations
 
@@ -12,24 +13,36 @@ def main(argv: Sequence[str]) -> int:
     from pathlib import Path
 
     from ..core.errors import Cancelled, InputError
-    from .arguments import count, seed_number
-    from .options import Parser, ctrl_c
-    from .streams import say
+    from .command.arguments import count, seed_number
+    from .command.interrupt import ctrl_c
+    from .command.options import Parser
+    from .command.streams import say
 
     parser = Parser(
         prog="lipac demo",
         description="Write a procedural demo scene to a .blend file.",
-        epilog="mirror-city: streets of instanced buildings, seen in a large mirror. flythrough: the same city; the camera drives through it, turns a "
-        "corner, and is cut to another place and back, frames 1-120. crowd: walking characters with skeletons, each deformed on its own, frames 1-48. "
+        epilog="mirror-city: streets of instanced buildings, seen in a large mirror. flythrough: the same city; the "
+        "camera drives through it, turns a corner, and is cut to another place and back, frames 1-120. "
+        "crowd: walking characters with skeletons, each deformed on its own, frames 1-48. "
         "textures: panels with an image of 64 MB each, most of them behind a wall. "
         "family: a random scatter for each --seed, as of lipac evaluate --family.",
     )
     parser.add_argument("name", metavar="NAME", help="mirror-city, flythrough, crowd, textures, or family (see below)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.blend")
-    instances = "in the city: 1,000 to 1,000,000; in the crowd: figures, 1 to 20,000; in the family: 1 to 60,000; images in textures: 1 to 512"
+    instances = (
+        "in the city: 1,000 to 1,000,000; in the crowd: figures, 1 to 20,000; in the family: 1 to 60,000; "
+        "images in textures: 1 to 512"
+    )
     parser.add_argument("--instances", type=count, metavar="N", help=instances)
-    parser.add_argument("--figure", type=Path, metavar="FILE", help="crowd: an animated character, .glb for example (default: a plain figure of our own)")
-    parser.add_argument("--seed", type=seed_number, default=0, metavar="S", help="the same seed gives the same scene (default: 0)")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        metavar="FILE",
+        help="crowd: an animated character, .glb for example (default: a plain figure of our own)",
+    )
+    parser.add_argument(
+        "--seed", type=seed_number, default=0, metavar="S", help="the same seed gives the same scene (default: 0)"
+    )
     parser.add_argument("--quiet", action="store_true", help="print nothing")
     args = parser.parse_args(argv)
     if args.output.suffix.lower() != ".blend":
@@ -49,7 +62,9 @@ def main(argv: Sequence[str]) -> int:
         try:
             save_copy(args.output)
         except RuntimeError as error:
-            raise OSError(errno.EIO, str(error).strip().removeprefix("Error: ").splitlines()[0], str(args.output)) from error
+            raise OSError(
+                errno.EIO, str(error).strip().removeprefix("Error: ").splitlines()[0], str(args.output)
+            ) from error
     if not args.quiet:
         say(str(args.output), sys.stdout)
     return 0

@@ -1,5 +1,5 @@
-"""`lipac evaluate SCENE -o DIR`: speed against error for every culling policy. Also `--all`: every scene, as docs/results.md has them; and `--family N`: do
-budgets hold on random scatters.
+"""`lipac evaluate SCENE -o DIR`: speed against error for every culling policy. Also `--all`: every scene, as
+docs/results.md has them; and `--family N`: do budgets hold on random scatters.
 """
 
 from __future__ import annotations
@@ -28,28 +28,84 @@ PIECES = "build"  # folder of finished pieces, which need not be kept
 def main(argv: Sequence[str]) -> int:
     """Evaluate what the command line says; returns the exit status."""
     from ..core.files.report import output_folder
-    from .arguments import count, path_count, resolution, seed_number, thread_count
-    from .options import Parser
+    from .command.arguments import count, path_count, resolution, seed_number, thread_count
+    from .command.options import Parser
 
-    parser = Parser(prog="lipac evaluate", description="Measure cost and error of every culling policy. What is already measured in DIR is kept.")
+    parser = Parser(
+        prog="lipac evaluate",
+        description="Measure cost and error of every culling policy. What is already measured in DIR is kept.",
+    )
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help="a scene file, as for lipac render")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for tables, plots, pictures and report.md")
-    parser.add_argument("--all", action="store_true", help="all supplied scenes and demos, each in a folder of DIR, and DIR/../results.md")
-    parser.add_argument("--scenes", type=Path, default=SUPPLIED, metavar="DIR", help="with --all: where the supplied scenes are")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder for tables, plots, pictures and report.md",
+    )
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help="all supplied scenes and demos, each in a folder of DIR, and DIR/../results.md",
+    )
+    parser.add_argument(
+        "--scenes", type=Path, default=SUPPLIED, metavar="DIR", help="with --all: where the supplied scenes are"
+    )
     parser.add_argument("--camera", metavar="NAME", help="camera to use (default: the scene's)")
-    parser.add_argument("--resolution", type=resolution, default=SIZE, metavar="WxH", help="size of the pictures (default: 320x180)")
-    parser.add_argument("--samples", type=path_count, metavar="N", help=f"paths per pixel of the judge (default: {SAMPLES}; with --family: {FAMILY_SAMPLES})")
-    parser.add_argument("--cycles", action="store_true", help="also render full and culled by Cycles: seconds and peak memory")
-    parser.add_argument("--budget-check", type=count, metavar="SEEDS", help="also: does the error stay in the budget, over so many seeds")
+    parser.add_argument(
+        "--resolution", type=resolution, default=SIZE, metavar="WxH", help="size of the pictures (default: 320x180)"
+    )
+    parser.add_argument(
+        "--samples",
+        type=path_count,
+        metavar="N",
+        help=f"paths per pixel of the judge (default: {SAMPLES}; with --family: {FAMILY_SAMPLES})",
+    )
+    parser.add_argument(
+        "--cycles", action="store_true", help="also render full and culled by Cycles: seconds and peak memory"
+    )
+    parser.add_argument(
+        "--budget-check",
+        type=count,
+        metavar="SEEDS",
+        help="also: does the error stay in the budget, over so many seeds",
+    )
     parser.add_argument("--ray-budget", action="store_true", help="also: how many paths the states need")
-    family = parser.add_argument_group("--family: does the budget hold, on random scatters, each with a budget of its own, judged by Cycles")
-    family.add_argument("--family", type=count, metavar="N", help="so many scenes, in place of SCENE; lipac demo family --seed K writes one of them")
-    family.add_argument("--first", type=seed_number, default=0, metavar="SEED", help="seed of the first scene (default: %(default)s)")
-    family.add_argument("--jobs", type=count, metavar="N", help="scenes at a time (default: as many as there are cores for)")
-    family.add_argument("--instances", type=count, metavar="N", help="rows of each scatter (default: as its seed draws)")
-    family.add_argument("--time-limit", type=count, default=300, metavar="S", help="seconds for one scene (default: %(default)s)")
-    family.add_argument("--stop-after", type=count, metavar="S", help="seconds after which no scene is begun; the same command goes on from there")
-    parser.add_argument("--threads", type=thread_count, default=0, metavar="N", help="0: all cores (default); with --family: of each job (default: 2)")
+    family = parser.add_argument_group(
+        "--family: does the budget hold, on random scatters, each with a budget of its own, judged by Cycles"
+    )
+    family.add_argument(
+        "--family",
+        type=count,
+        metavar="N",
+        help="so many scenes, in place of SCENE; lipac demo family --seed K writes one of them",
+    )
+    family.add_argument(
+        "--first", type=seed_number, default=0, metavar="SEED", help="seed of the first scene (default: %(default)s)"
+    )
+    family.add_argument(
+        "--jobs", type=count, metavar="N", help="scenes at a time (default: as many as there are cores for)"
+    )
+    family.add_argument(
+        "--instances", type=count, metavar="N", help="rows of each scatter (default: as its seed draws)"
+    )
+    family.add_argument(
+        "--time-limit", type=count, default=300, metavar="S", help="seconds for one scene (default: %(default)s)"
+    )
+    family.add_argument(
+        "--stop-after",
+        type=count,
+        metavar="S",
+        help="seconds after which no scene is begun; the same command goes on from there",
+    )
+    parser.add_argument(
+        "--threads",
+        type=thread_count,
+        default=0,
+        metavar="N",
+        help="0: all cores (default); with --family: of each job (default: 2)",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     args = parser.parse_args(argv)
     folder = output_folder(args.output)
@@ -61,7 +117,8 @@ def main(argv: Sequence[str]) -> int:
         raise InputError("SCENE is missing: name a scene file, or use --all or --family")
     if not args.scene.exists():
         raise InputError(f"no such file: {args.scene}")
-    from .options import ctrl_c, progress_of
+    from .command.interrupt import ctrl_c
+    from .command.streams import progress_of
 
     with progress_of(args.quiet) as progress, ctrl_c() as cancelled:
         summary = evaluate(args, folder, progress, cancelled)
@@ -84,7 +141,9 @@ def random_scenes(args: argparse.Namespace, folder: Path) -> int:
             print(line, file=sys.stderr, flush=True)
 
     seeds = range(args.first, args.first + args.family)
-    return family.main(seeds, folder, plan, args.jobs or max(cores // threads, 1), args.stop_after or float("inf"), tell)
+    return family.main(
+        seeds, folder, plan, args.jobs or max(cores // threads, 1), args.stop_after or float("inf"), tell
+    )
 
 
 def extracted(args: argparse.Namespace) -> Any:
@@ -106,7 +165,9 @@ def extracted(args: argparse.Namespace) -> Any:
         return extract_frame(scene, scene.frame_current).scene
 
 
-def evaluate(args: argparse.Namespace, folder: Path, progress: Progress, cancelled: Callable[[], bool]) -> dict[str, Any]:
+def evaluate(
+    args: argparse.Namespace, folder: Path, progress: Progress, cancelled: Callable[[], bool]
+) -> dict[str, Any]:
     """Everything for one scene; returns what evaluation.json holds."""
     from ..core.evaluation import evaluate as core
     from .studies import evaluate_report as report
@@ -127,7 +188,9 @@ def evaluate(args: argparse.Namespace, folder: Path, progress: Progress, cancell
         "rows": evaluation.rows,
     }
     if args.budget_check:
-        summary["budget_check"] = core.budget_check(evaluation, args.budget_check, part(progress, 0.9, 0.97, "budget check, "))
+        summary["budget_check"] = core.budget_check(
+            evaluation, args.budget_check, part(progress, 0.9, 0.97, "budget check, ")
+        )
     if args.ray_budget:
         summary["ray_budget"] = core.ray_budget(evaluation, part(progress, 0.97, 0.99, "ray budget, "))
     if args.cycles:
@@ -145,7 +208,12 @@ def cycles(args: argparse.Namespace, folder: Path) -> dict[str, Any]:
     for name in (compare.FULL, compare.CULLED):
         result = compare.render(args.scene, folder / PIECES / "cycles", name, options)
         frame = result["frames"][0]
-        out[name] = {"render_s": frame["render_s"], "process_s": result["process_s"], "peak_bytes": result["totals"]["peak_bytes"], "active": frame["active"]}
+        out[name] = {
+            "render_s": frame["render_s"],
+            "process_s": result["process_s"],
+            "peak_bytes": result["totals"]["peak_bytes"],
+            "active": frame["active"],
+        }
     return out
 
 
@@ -157,7 +225,14 @@ def everything(args: argparse.Namespace, folder: Path) -> int:
 
     worst = 0
     own = [a for a in ("--cycles", "--ray-budget", "--quiet") if getattr(args, a[2:].replace("-", "_"))]
-    own += ["--resolution", f"{args.resolution[0]}x{args.resolution[1]}", "--samples", str(args.samples or SAMPLES), "--threads", str(args.threads)]
+    own += [
+        "--resolution",
+        f"{args.resolution[0]}x{args.resolution[1]}",
+        "--samples",
+        str(args.samples or SAMPLES),
+        "--threads",
+        str(args.threads),
+    ]
     own += ["--budget-check", str(args.budget_check)] if args.budget_check else []
     for name, scene in scenes(args.scenes, folder):
         print(f"{name}", file=sys.stderr, flush=True)
@@ -173,12 +248,16 @@ def everything(args: argparse.Namespace, folder: Path) -> int:
 
 
 def scenes(supplied: Path, folder: Path) -> list[tuple[str, Path]]:
-    """Names and files of the supplied scenes that are there, and of the demos, which are built where they are missing."""
+    """Names and files of the supplied scenes that are there, and of the demos, which are built where they are
+    missing."""
     from .studies import compare
 
     out = [(Path(name).stem, supplied / name) for name in SCENES if (supplied / name).exists()]
     if len(out) < len(SCENES):
-        print(f"some of {', '.join(SCENES)} are not in {supplied} and are left out; --scenes says where they are", file=sys.stderr)
+        print(
+            f"some of {', '.join(SCENES)} are not in {supplied} and are left out; --scenes says where they are",
+            file=sys.stderr,
+        )
     for name, instances in DEMOS.items():
         path = folder / name / PIECES / f"{name}.blend"
         if not path.exists():

@@ -1,6 +1,7 @@
 """The `lipac` command: `lipac COMMAND ...`.
 
-Exit status: 0 success, 1 an error of ours, 2 unusable input, 3 done, but a verification found the error budget broken, 130 stopped by Ctrl-C.
+Exit status: 0 success, 1 an error of ours, 2 unusable input, 3 done, but a verification found the error budget broken,
+130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from ..version import __version__
-from . import streams
-from .streams import say
+from .command import streams
+from .command.streams import say
 
 # Command: module of this folder, with a main(argv), and what it does
 COMMANDS = {
@@ -24,13 +25,18 @@ COMMANDS = {
     "analyze": ("analyze", "decide which instances light paths need; no picture"),
     "render": ("render", "cull and render by Cycles, EEVEE or the path tracer"),
     "evaluate": ("evaluate", "measure speed against error for every culling policy"),
-    "farm": ("farm.write", "describe a shot as a job for a render farm: Open Job Description, Flamenco, or this machine"),
+    "farm": (
+        "farm.write",
+        "describe a shot as a job for a render farm: Open Job Description, Flamenco, or this machine",
+    ),
     "shot": ("farm.step", "do a step of such a job"),
     "bench": ("bench", "measure speed against peers"),
 }
 
 STOPPED = "stopped; finished frames and their report are kept"
-NO_MEMORY = "out of memory; lower --resolution or the number of instances, close other programs, or allow this one more memory"
+NO_MEMORY = (
+    "out of memory; lower --resolution or the number of instances, close other programs, or allow this one more memory"
+)
 
 
 _began = time.monotonic()
@@ -81,7 +87,8 @@ def guarded(name: str, arguments: Sequence[str]) -> int:
 
 
 def _reserve() -> None:
-    """Take what linear algebra works in while there is memory: where none is left, the OpenBLAS of NumPy 1 asks for it again and again, for ever."""
+    """Take what linear algebra works in while there is memory: where none is left, the OpenBLAS of NumPy 1 asks for it
+    again and again, for ever."""
     import numpy as np
 
     if np.lib.NumpyVersion(np.__version__) < "2.0.0":
@@ -118,7 +125,11 @@ def _internal(error: Exception) -> str:
     if "can't start new thread" in str(error):
         return "the system allows no more threads; allow this user more processes, or give --threads 1"
     first = str(error).strip().splitlines()[:1]
-    return NO_MEMORY if _unmapped(error) else f"internal error: {type(error).__name__}: {''.join(first)} (LIPAC_DEBUG=1 shows more)"
+    return (
+        NO_MEMORY
+        if _unmapped(error)
+        else f"internal error: {type(error).__name__}: {''.join(first)} (LIPAC_DEBUG=1 shows more)"
+    )
 
 
 @contextmanager
@@ -130,7 +141,10 @@ def _ctrl_c_noted() -> Iterator[threading.Event]:
         stopped.set()
         raise KeyboardInterrupt
 
-    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) == signal.default_int_handler
+    ours = (
+        threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) == signal.default_int_handler
+    )
     if ours:
         signal.signal(signal.SIGINT, note)
     try:
@@ -142,7 +156,15 @@ def _ctrl_c_noted() -> Iterator[threading.Event]:
 
 def _unmapped(error: Exception) -> bool:
     """Whether a library finds no room in memory."""
-    return any(text in str(error) for text in ("failed to map segment", "cannot allocate memory", "Cannot allocate memory", "load shared object file"))
+    return any(
+        text in str(error)
+        for text in (
+            "failed to map segment",
+            "cannot allocate memory",
+            "Cannot allocate memory",
+            "load shared object file",
+        )
+    )
 
 
 def _lost(error: OSError) -> str:
@@ -153,8 +175,14 @@ def _lost(error: OSError) -> str:
     where = f" {name}" if name else " its files"
     folder = tempfile.tempdir
     if folder and name.startswith(os.path.join(folder, "lipac")):
-        return f"cannot read or write{where}: {error.strerror or error}; finished frames are kept; free space in {folder}, or name another folder by TMPDIR"
-    return f"cannot read or write{where}: {error.strerror or error}; finished frames are kept; free space or choose another folder with -o"
+        return (
+            f"cannot read or write{where}: {error.strerror or error}; finished frames are kept; free space in "
+            f"{folder}, or name another folder by TMPDIR"
+        )
+    return (
+        f"cannot read or write{where}: {error.strerror or error}; finished frames are kept; free space or choose "
+        "another folder with -o"
+    )
 
 
 if __name__ == "__main__":

@@ -13,33 +13,72 @@ def main(argv: Sequence[str]) -> int:
     from ..core.errors import InputError
     from ..core.hybrid.modes import MODES
     from ..lipac_addon.batch.engines.choices import ENGINES
-    from .arguments import device, sample_count
-    from .options import do_frames, scene_parser
+    from .command.arguments import device, sample_count
+    from .command.frames import do_frames
+    from .command.options import scene_parser
 
-    parser = scene_parser("render", "Cull a scene by its light paths and render it: pictures, states per frame and report.json.")
+    parser = scene_parser(
+        "render", "Cull a scene by its light paths and render it: pictures, states per frame and report.json."
+    )
     engines = "default: cycles; path: the path tracer of the analysis; hybrid: EEVEE and it together"
     parser.add_argument("--engine", choices=ENGINES, help=engines)
-    scene = "render by the scene's own engine to its own files, as blender -b -f does: format, passes, layers, views, compositor, region; DIR gets the report"
+    scene = (
+        "render by the scene's own engine to its own files, as blender -b -f does: format, passes, layers, "
+        "views, compositor, region; DIR gets the report"
+    )
     parser.add_argument("--as-scene", action="store_true", help=scene)
     parser.add_argument("--samples", type=sample_count, metavar="N", help="per pixel (default: the scene's)")
-    where = "where Cycles renders: auto (default: as the file and the preferences say), cpu, cuda, optix, hip, oneapi or metal; cards by number or name"
+    where = (
+        "where Cycles renders: auto (default: as the file and the preferences say), cpu, cuda, optix, hip, "
+        "oneapi or metal; cards by number or name"
+    )
     parser.add_argument("--device", type=device, metavar="KIND[:CARD,...]", help=where)
-    ahead = "analyse the next frames in a process of its own while one is rendered (default: where that is not on the CPU)"
+    ahead = (
+        "analyse the next frames in a process of its own while one is rendered (default: where that is not on the CPU)"
+    )
     parser.add_argument("--ahead", action=BooleanOptionalAction, help=ahead)
-    tiles = "Cycles reads tiles of images, of the size that it needs, from files in DIR (default: texture_cache in -o), which are made once (Blender 5.2)"
+    tiles = (
+        "Cycles reads tiles of images, of the size that it needs, from files in DIR (default: texture_cache in "
+        "-o), which are made once (Blender 5.2)"
+    )
     parser.add_argument("--texture-cache", type=Path, nargs="?", const=Path(), metavar="DIR", help=tiles)
     hybrid = parser.add_argument_group("--engine hybrid")
-    hybrid.add_argument("--gi", choices=MODES, default="path", help="what paths bring: all, one bounce, no diffuse bounce, nothing (default: %(default)s)")
-    hybrid.add_argument("--primary", choices=("raster", "traced"), default="raster", help="what finds first hits; traced: no OpenGL (default: %(default)s)")
-    hybrid.add_argument("--denoise", choices=("on", "off"), default="on", help="of the traced light (default: %(default)s)")
-    hybrid.add_argument("--raster-samples", type=sample_count, default=8, metavar="N", help="EEVEE's samples per pixel (default: %(default)s)")
+    hybrid.add_argument(
+        "--gi",
+        choices=MODES,
+        default="path",
+        help="what paths bring: all, one bounce, no diffuse bounce, nothing (default: %(default)s)",
+    )
+    hybrid.add_argument(
+        "--primary",
+        choices=("raster", "traced"),
+        default="raster",
+        help="what finds first hits; traced: no OpenGL (default: %(default)s)",
+    )
+    hybrid.add_argument(
+        "--denoise", choices=("on", "off"), default="on", help="of the traced light (default: %(default)s)"
+    )
+    hybrid.add_argument(
+        "--raster-samples",
+        type=sample_count,
+        default=8,
+        metavar="N",
+        help="EEVEE's samples per pixel (default: %(default)s)",
+    )
     args = parser.parse_args(argv)
     if args.as_scene and args.engine:
         raise InputError("--as-scene renders by the engine that the scene is set to: leave --engine out")
     if args.as_scene and args.enforce:
-        raise InputError("--enforce renders frames again, and --as-scene writes the scene's own files: give one of them")
+        raise InputError(
+            "--enforce renders frames again, and --as-scene writes the scene's own files: give one of them"
+        )
     args.engine = args.engine or "cycles"
-    options = {"gi": args.gi, "primary": args.primary, "denoise": args.denoise == "on", "raster_samples": args.raster_samples}
+    options = {
+        "gi": args.gi,
+        "primary": args.primary,
+        "denoise": args.denoise == "on",
+        "raster_samples": args.raster_samples,
+    }
     return int(do_frames(args, args.engine, args.samples, options).status)
 
 

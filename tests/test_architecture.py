@@ -129,7 +129,10 @@ def test_modules_and_classes_are_short() -> None:
     modules = {name: len(path.read_text().splitlines()) for name, path in sources().items()}
     assert not {name: lines for name, lines in modules.items() if lines > LINES_TO_A_MODULE}
     classes = {
-        f"{name}.{node.name}": (node.end_lineno or 0) - node.lineno + 1 for name in sources() for node in ast.walk(tree(name)) if isinstance(node, ast.ClassDef)
+        f"{name}.{node.name}": (node.end_lineno or 0) - node.lineno + 1
+        for name in sources()
+        for node in ast.walk(tree(name))
+        if isinstance(node, ast.ClassDef)
     }
     assert not {name: lines for name, lines in classes.items() if lines > LINES_TO_A_CLASS}
 
@@ -137,7 +140,12 @@ def test_modules_and_classes_are_short() -> None:
 def test_the_user_interface_hides_no_import_of_its_own() -> None:
     for name in sources():
         if name.startswith("lipac_addon.ui"):
-            inside = {node for function in ast.walk(tree(name)) if isinstance(function, ast.FunctionDef) for node in ast.walk(function)}
+            inside = {
+                node
+                for function in ast.walk(tree(name))
+                if isinstance(function, ast.FunctionDef)
+                for node in ast.walk(function)
+            }
             for node in inside:
                 if isinstance(node, ast.ImportFrom) and node.level:
                     depth = len(name.split(".")) - node.level + (sources()[name].name == "__init__.py")

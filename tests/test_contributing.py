@@ -19,7 +19,9 @@ from lipac.lipac_addon.extract.materials.reader import Reader, Value, View
 from .core.culling.test_loop import CASTER, FLOOR, MIRROR, SEEN, stage
 from .lipac_addon.conftest import boxes  # noqa: F401
 
-EXAMPLES = re.findall(r"```python\n(.*?)```", (Path(lipac.__file__).parent / "docs" / "contributing.md").read_text(), re.DOTALL)
+EXAMPLES = re.findall(
+    r"```python\n(.*?)```", (Path(lipac.__file__).parent / "docs" / "contributing.md").read_text(), re.DOTALL
+)
 
 
 def test_a_policy() -> None:

@@ -20,7 +20,10 @@ ROOT = Path(lipac.__file__).parent
 
 @pytest.mark.smoke
 def test_core_imports_without_bpy() -> None:
-    modules = [".".join(("lipac", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__") for path in sorted((ROOT / "core").rglob("*.py"))]
+    modules = [
+        ".".join(("lipac", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
+        for path in sorted((ROOT / "core").rglob("*.py"))
+    ]
     assert "lipac.core.tracing.bsdf.lobes" in modules
     code = f"import importlib, sys; [importlib.import_module(m) for m in {modules!r}]; sys.exit('bpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -34,8 +37,12 @@ def test_core_never_mentions_bpy_in_an_import() -> None:
 def test_every_room_is_packed() -> None:
     """By pip; the extension's zip takes whole folders."""
     tops = [ROOT / name for name in ("core", "lipac_addon", "scripts")]
-    rooms = {".".join(("lipac", *path.parent.relative_to(ROOT).parts)) for top in tops for path in top.rglob("__init__.py")}
-    assert set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]) == rooms | {"lipac"}
+    rooms = {
+        ".".join(("lipac", *path.parent.relative_to(ROOT).parts)) for top in tops for path in top.rglob("__init__.py")
+    }
+    assert set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]) == rooms | {
+        "lipac"
+    }
 
 
 @pytest.mark.smoke
@@ -62,4 +69,6 @@ def test_the_lock_is_one_for_every_python_and_names_no_place() -> None:
     for path in LOCK.parent.glob("requirements*.txt"):
         assert not re.search(r"://|--(index|extra|find)|@ ", path.read_text()), path
         tested = LOCK.read_text()
-        assert all(pin in tested for pin in re.findall(r"^[\w.-]+==\S+", path.read_text(), re.MULTILINE)), "the two locks differ: make lock"
+        assert all(pin in tested for pin in re.findall(r"^[\w.-]+==\S+", path.read_text(), re.MULTILINE)), (
+            "the two locks differ: make lock"
+        )

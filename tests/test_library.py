@@ -37,13 +37,22 @@ def test_every_name_is_there() -> None:
 
 
 def test_one_version() -> None:
-    assert lipac.__version__ == tomllib.loads((ROOT / "blender_manifest.toml").read_text())["version"] == metadata.version("lipac")
+    assert (
+        lipac.__version__
+        == tomllib.loads((ROOT / "blender_manifest.toml").read_text())["version"]
+        == metadata.version("lipac")
+    )
 
 
 def test_arrays_need_no_blender() -> None:
     options = lipac.CullOptions(width=48, seed=3)
     result = lipac.analyze(stage(), 0.05, options=options)
-    assert result.state.tobytes() == analyze_arrays(stage(), lipac.CullOptions(width=48, seed=3, max_error=lipac.Budget(0.05, 0.25))).state.tobytes()
+    assert (
+        result.state.tobytes()
+        == analyze_arrays(
+            stage(), lipac.CullOptions(width=48, seed=3, max_error=lipac.Budget(0.05, 0.25))
+        ).state.tobytes()
+    )
     assert 0 < result.active.sum() < 100
 
 
@@ -82,7 +91,9 @@ def stage_with_camera(scene: bpy.types.Scene) -> bpy.types.Scene:
 
 @pytest.mark.slow
 def test_render_writes_pictures_and_a_report(boxes_file: Path, tmp_path: Path) -> None:  # noqa: F811
-    report = lipac.render(boxes_file, tmp_path / "out", 0.02, frames=(1, 2), samples=1, options=lipac.CullOptions(width=64))
+    report = lipac.render(
+        boxes_file, tmp_path / "out", 0.02, frames=(1, 2), samples=1, options=lipac.CullOptions(width=64)
+    )
     assert [frame["frame"] for frame in report.frames] == [1, 2]
     assert (report.lipac, report.policy, report.engine) == (lipac.__version__, "light-paths", "cycles")
     assert np.isfinite(read_picture(tmp_path / "out" / "frame_0002.exr")).all()
@@ -91,7 +102,12 @@ def test_render_writes_pictures_and_a_report(boxes_file: Path, tmp_path: Path) -
 
 @pytest.mark.slow
 def test_the_example_runs(boxes_file: Path, tmp_path: Path) -> None:  # noqa: F811
-    done = subprocess.run([sys.executable, ROOT / "examples" / "cull_and_render.py", boxes_file, tmp_path], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, ROOT / "examples" / "cull_and_render.py", boxes_file, tmp_path],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert "instances stay" in done.stdout
     assert {path.name for path in tmp_path.iterdir()} >= {"whole.png", "culled.png"}

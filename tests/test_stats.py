@@ -15,7 +15,8 @@ def test_limits_are_those_of_the_tables() -> None:
 
 
 def test_a_right_mean_passes_and_a_wrong_one_fails() -> None:
-    """Of 20,000 right means at 5 %: a twentieth fails, to three deviations of a binomial; one that is off by ten errors is found."""
+    """Of 20,000 right means at 5 %: a twentieth fails, to three deviations of a binomial; one that is off by ten errors
+    is found."""
     rng = np.random.default_rng(0)
     samples = rng.standard_normal((100, 20000))
     failed = np.abs(samples.mean(0)) > z_limit(1, 0.05) * standard_error(samples)

@@ -16,14 +16,18 @@ from . import embree
 from .region_tree import spatial_order
 
 RUN, RUNS = 8, 64  # triangles that were neighbours when a BLAS was built, and how many such runs are looked at
-REBUILD_SAH_RATIO = 4.0  # growth of the boxes of such runs (surface area) at which a BLAS is built anew instead of refitted: there rays take 1.4 times as long
+# growth of the boxes of such runs (surface area) at which a BLAS is built anew instead of refitted: there rays take 1.4
+# times as long
+REBUILD_SAH_RATIO = 4.0
 CHECK_INTERVAL = 8  # refits from one check to the next: checking takes as long as refitting a small mesh
-BLAS_BYTES, TRIANGLE_BYTES = 1152, 36  # of Embree 4.4's compact structure, within a third over meshes of 12 to 500,000 triangles
+# of Embree 4.4's compact structure, within a third over meshes of 12 to 500,000 triangles
+BLAS_BYTES, TRIANGLE_BYTES = 1152, 36
 
 
 @dataclass(eq=False)
 class _Blas:
-    """A loaded mesh with its Embree scene; `mesh` keeps the arrays alive that Embree and the kernels read. geometry: 0 where it is never to be refitted.
+    """A loaded mesh with its Embree scene; `mesh` keeps the arrays alive that Embree and the kernels read. geometry: 0
+    where it is never to be refitted.
 
     runs: (R, RUN) triangles that were neighbours when it was built; spread: of them, then; refits: since then.
     """
@@ -58,7 +62,8 @@ def _spread(mesh: Mesh, runs: I32) -> float:
 
 @dataclass
 class Work:
-    """BLAS work done: how many were built and refitted, and the seconds of either, reading the meshes included, on whatever thread."""
+    """BLAS work done: how many were built and refitted, and the seconds of either, reading the meshes included, on
+    whatever thread."""
 
     built: int = 0
     refitted: int = 0
@@ -69,16 +74,18 @@ class Work:
 class BlasCache:
     """The meshes of a scene that are loaded and built.
 
-    table: (M,) of MESH; scenes: (M,) uint64 Embree handles, 0 where there is none; bytes_of: (M,) int64, Embree's memory per BLAS, as measured: it varies a
-    little with the number of builder threads, and from run to run.
-    work: what was done since somebody last put a new `Work` there. refused: meshes that did not fit into the limit when one was last given.
+    table: (M,) of MESH; scenes: (M,) uint64 Embree handles, 0 where there is none; bytes_of: (M,) int64, Embree's
+    memory per BLAS, as measured: it varies a little with the number of builder threads, and from run to run.
+    work: what was done since somebody last put a new `Work` there. refused: meshes that did not fit into the limit when
+    one was last given.
     """
 
     def __init__(self, meshes: Sequence[Mesh], device: embree.Device | None = None) -> None:
         self.device = device or embree.shared_device()
         self._meshes = meshes
         self._built: dict[int, _Blas] = {}
-        self._coming: dict[int, tuple[Future[_Blas], int]] = {}  # what another thread builds, with its number of triangles
+        # what another thread builds, with its number of triangles
+        self._coming: dict[int, tuple[Future[_Blas], int]] = {}
         self._stale: set[int] = set()  # built, or coming, from vertices of an earlier frame
         self._worker: ThreadPoolExecutor | None = None
         self._rate = 1e-6  # seconds per triangle of the latest builds
@@ -97,15 +104,16 @@ class BlasCache:
 
     @property
     def counted_bytes(self) -> I64:
-        """(M,) int64 bytes of each BLAS by its number of triangles, 0 where there is none. For decisions: these must not depend on threads."""
+        """(M,) int64 bytes of each BLAS by its number of triangles, 0 where there is none. For decisions: these must
+        not depend on threads."""
         return np.where(self.scenes != 0, BLAS_BYTES + TRIANGLE_BYTES * self.table["triangle_count"], 0)
 
     def __len__(self) -> int:
         return len(self._built)
 
     def advance(self, meshes: Sequence[Mesh], deformed: I32, replaced: I32) -> None:
-        """Go on to the next frame's meshes: `core.scene.change.Change` says what deformed and replaced are. Nothing is read or built; those beyond, which were
-        parts of others, are freed."""
+        """Go on to the next frame's meshes: `core.scene.change.Change` says what deformed and replaced are. Nothing is
+        read or built; those beyond, which were parts of others, are freed."""
         self._meshes = meshes
         for index in [i for i in (*self._built, *self._coming) if i >= len(meshes)]:
             self._free(index)
@@ -120,7 +128,8 @@ class BlasCache:
         self._stale.update(i for i in deformed.tolist() if i in self._built or i in self._coming)
 
     def need(self, meshes: np.ndarray, step: Callable[[int, int], None] | None = None) -> int:
-        """Load and build what is missing of meshes (indices, repeats allowed), and refit what has deformed. step(done, of) is called after each.
+        """Load and build what is missing of meshes (indices, repeats allowed), and refit what has deformed. step(done,
+        of) is called after each.
 
         Returns how many were built or refitted. Raises MemoryError where Embree runs out.
         """
@@ -136,12 +145,15 @@ class BlasCache:
                 step(done, len(stale) + len(missing))
         return len(stale) + len(missing)
 
-    def provide(self, meshes: np.ndarray, seconds: float, limit: int, step: Callable[[int, int], None] | None = None) -> None:
+    def provide(
+        self, meshes: np.ndarray, seconds: float, limit: int, step: Callable[[int, int], None] | None = None
+    ) -> None:
         """`need` within bounds. meshes: distinct indices, the most valuable first.
 
-        limit: bytes of all BLASes together, 0 for any: what is not among meshes is freed, and of meshes the least valuable, or they are not built.
-        seconds: of work to start in this frame, 0 for any: what has deformed is refitted first, then what is missing is read here and built by another
-        thread, to be there in one of the next frames; at least one of each, so that all come in the end.
+        limit: bytes of all BLASes together, 0 for any: what is not among meshes is freed, and of meshes the least
+        valuable, or they are not built. seconds: of work to start in this frame, 0 for any: what has deformed is
+        refitted first, then what is missing is read here and built by another thread, to be there in one of the next
+        frames; at least one of each, so that all come in the end.
         """
         if limit:
             meshes = self._affordable(meshes, limit)
@@ -164,7 +176,8 @@ class BlasCache:
                 self._coming[index] = (self._worker.submit(self._build, index, mesh), len(mesh.triangles))
 
     def built(self, meshes: np.ndarray) -> tuple[object, ...]:
-        """What keeps the BLASes of meshes (indices), and the arrays that they read, for as long as it is held, whatever is freed here."""
+        """What keeps the BLASes of meshes (indices), and the arrays that they read, for as long as it is held, whatever
+        is freed here."""
         return tuple(self._built[index] for index in meshes.tolist())
 
     def keep_only(self, meshes: np.ndarray) -> None:
@@ -174,7 +187,8 @@ class BlasCache:
             self._free(index)
 
     def _affordable(self, meshes: np.ndarray, limit: int) -> np.ndarray:
-        """As many of the first of meshes as fit into limit bytes, by what they took when they were last built; all others are freed."""
+        """As many of the first of meshes as fit into limit bytes, by what they took when they were last built; all
+        others are freed."""
         known = self._known[meshes]
         guess = int(known[known > 0].mean()) if (known > 0).any() else 0
         fits = np.cumsum(np.where(known > 0, known, guess)) <= limit
@@ -191,38 +205,23 @@ class BlasCache:
         return mesh
 
     def _build(self, index: int, mesh: Mesh) -> _Blas:
-        """Build the BLAS of a loaded mesh, on any thread. What has deformed once is built for refitting: a two-level structure, which Embree can refit."""
-        start = time.perf_counter()
-        device, lib, refits = self.device, embree.lib, bool(self._deforms[index])
-        geometry = lib.rtcNewGeometry(device.handle, embree.GEOMETRY_TRIANGLE)
-        if len(mesh.triangles):
-            embree.shared_buffer(geometry, embree.BUFFER_VERTEX, embree.FORMAT_FLOAT3, mesh.positions, 12)
-            embree.shared_buffer(geometry, embree.BUFFER_INDEX, embree.FORMAT_UINT3, mesh.triangles, 12)
-        lib.rtcSetGeometryMask(geometry, 0xFFFFFFFF)  # the ray's mask is tested against the instance's alone
-        if refits:
-            lib.rtcSetGeometryBuildQuality(geometry, embree.QUALITY_REFIT)
-        lib.rtcCommitGeometry(geometry)
-        if refits:
-            scene = device.new_scene(embree.SCENE_ROBUST | embree.SCENE_COMPACT | embree.SCENE_DYNAMIC, embree.QUALITY_LOW)
-        else:
-            scene = device.new_scene(embree.SCENE_ROBUST | embree.SCENE_COMPACT)
-        lib.rtcAttachGeometry(scene, geometry)
-        lib.rtcReleaseGeometry(geometry)  # the scene holds it
-        runs = _runs(mesh) if refits else np.zeros((0, RUN), np.int32)
-        blas = _Blas(mesh, scene, geometry if refits else 0, runs, _spread(mesh, runs))
-        device.own(scene, blas)
-        blas.bytes = device.commit(scene, f"build the BLAS of mesh {index} with {len(mesh.triangles):,} triangles")
-        blas.seconds = time.perf_counter() - start
-        return blas
+        """Build the BLAS of a loaded mesh, on any thread; what has deformed once, for refitting."""
+        return _built(self.device, mesh, bool(self._deforms[index]), f"the BLAS of mesh {index}")
 
     def _refit(self, index: int) -> float:
-        """Bring a built BLAS to the mesh's present vertices; build it anew where it is not made for refitting, has other triangles, or is torn: its tree has
-        little to do with the mesh any more. Returns seconds."""
+        """Bring a built BLAS to the mesh's present vertices; build it anew where it is not made for refitting, has
+        other triangles, or is torn: its tree has little to do with the mesh any more. Returns seconds."""
         start = time.perf_counter()
         blas, source = self._built[index], self._meshes[index]
-        same = source.positions.shape == blas.mesh.positions.shape and np.array_equal(source.triangles, blas.mesh.triangles)
+        same = source.positions.shape == blas.mesh.positions.shape and np.array_equal(
+            source.triangles, blas.mesh.triangles
+        )
         blas.refits += 1
-        torn = same and blas.refits % CHECK_INTERVAL == 0 and _spread(source, blas.runs) > REBUILD_SAH_RATIO * blas.spread > 0
+        torn = (
+            same
+            and blas.refits % CHECK_INTERVAL == 0
+            and _spread(source, blas.runs) > REBUILD_SAH_RATIO * blas.spread > 0
+        )
         if torn or not (same and blas.geometry):
             self._free(index)
             self._install(index, self._build(index, loaded(source)))
@@ -232,7 +231,9 @@ class BlasCache:
             lib = embree.lib
             lib.rtcUpdateGeometryBuffer(blas.geometry, embree.BUFFER_VERTEX, 0)
             lib.rtcCommitGeometry(blas.geometry)
-            self.bytes_of[index] += self.device.commit(blas.scene, f"refit the BLAS of mesh {index} with {len(blas.mesh.triangles):,} triangles")
+            self.bytes_of[index] += self.device.commit(
+                blas.scene, f"refit the BLAS of mesh {index} with {len(blas.mesh.triangles):,} triangles"
+            )
             self.table[index] = record(blas.mesh)
             self.work.refitted += 1
             self.work.refit_s += time.perf_counter() - start
@@ -267,3 +268,28 @@ class BlasCache:
             self.scenes[index] = self.bytes_of[index] = 0
         self._stale.discard(index)
 
+
+def _built(device: embree.Device, mesh: Mesh, refits: bool, name: str) -> _Blas:
+    """Build the BLAS of a loaded mesh. refits: as a two-level structure, which Embree can refit."""
+    start = time.perf_counter()
+    lib = embree.lib
+    geometry = lib.rtcNewGeometry(device.handle, embree.GEOMETRY_TRIANGLE)
+    if len(mesh.triangles):
+        embree.shared_buffer(geometry, embree.BUFFER_VERTEX, embree.FORMAT_FLOAT3, mesh.positions, 12)
+        embree.shared_buffer(geometry, embree.BUFFER_INDEX, embree.FORMAT_UINT3, mesh.triangles, 12)
+    lib.rtcSetGeometryMask(geometry, 0xFFFFFFFF)  # the ray's mask is tested against the instance's alone
+    if refits:
+        lib.rtcSetGeometryBuildQuality(geometry, embree.QUALITY_REFIT)
+    lib.rtcCommitGeometry(geometry)
+    if refits:
+        scene = device.new_scene(embree.SCENE_ROBUST | embree.SCENE_COMPACT | embree.SCENE_DYNAMIC, embree.QUALITY_LOW)
+    else:
+        scene = device.new_scene(embree.SCENE_ROBUST | embree.SCENE_COMPACT)
+    lib.rtcAttachGeometry(scene, geometry)
+    lib.rtcReleaseGeometry(geometry)  # the scene holds it
+    runs = _runs(mesh) if refits else np.zeros((0, RUN), np.int32)
+    blas = _Blas(mesh, scene, geometry if refits else 0, runs, _spread(mesh, runs))
+    device.own(scene, blas)
+    blas.bytes = device.commit(scene, f"build {name} with {len(mesh.triangles):,} triangles")
+    blas.seconds = time.perf_counter() - start
+    return blas

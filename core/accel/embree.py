@@ -1,7 +1,9 @@
-"""Embree 4, bound to the library inside the `embreex` wheel: device, memory monitor, and the two ray queries that numba kernels call without overhead.
+"""Embree 4, bound to the library inside the `embreex` wheel: device, memory monitor, and the two ray queries that numba
+kernels call without overhead.
 
-The Python interface of embreex knows no instancing, no instance ids and one thread; its wheel carries the whole library. Functions are taken from the
-library's own handle, never by global name: a Blender process has another Embree in global scope.
+The Python interface of embreex knows no instancing, no instance ids and one thread; its wheel carries the whole
+library. Functions are taken from the library's own handle, never by global name: a Blender process has another Embree
+in global scope.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from ..errors import InputError
 from ..jit import healing as _healing  # noqa: F401
 from ..jit.atomics import atomic_add_int64, pointer
 
-# Indices into a ray: float32[RAY] (RTCRayHit, embree4/rtcore_ray.h); integers are read through a uint32 view of the same memory.
+# Indices into a ray: float32[RAY] (RTCRayHit, embree4/rtcore_ray.h); integers are read through a uint32 view of the
+# same memory.
 RAY = 32
 ORG, TNEAR, DIR, TIME, TFAR, MASK, ID, FLAGS = 0, 3, 4, 7, 8, 9, 10, 11
 NG, HIT_U, HIT_V, PRIM_ID, GEOM_ID, INST_ID, INST_PRIM_ID = 12, 15, 16, 17, 18, 19, 20
@@ -69,7 +72,9 @@ def _library_path() -> Path:
     """The Embree library that the embreex wheel carries, by platform: an absolute path."""
     spec = importlib.util.find_spec("embreex")
     if spec is None or spec.origin is None:
-        raise InputError("the package 'embreex' is missing: install it with pip, or reinstall the extension built for this platform")
+        raise InputError(
+            "the package 'embreex' is missing: install it with pip, or reinstall the extension built for this platform"
+        )
     package = Path(spec.origin).resolve().parent
     folders = (package.with_name("embreex.libs"), package / ".dylibs", package)
     pattern = {"win32": "embree4*.dll", "darwin": "libembree4*.dylib"}.get(sys.platform, "libembree4*.so*")
@@ -82,7 +87,8 @@ def _library_path() -> Path:
 def _load() -> ctypes.CDLL:
     path = _library_path()
     if sys.platform == "win32":
-        library = ctypes.CDLL(str(path))  # by its full path: another file than an embree4.dll that is loaded already (docs/method.md, "Two Embrees")
+        # by its full path: another file than an embree4.dll that is loaded already (docs/method.md, "Two Embrees")
+        library = ctypes.CDLL(str(path))
     else:
         # DEEPBIND: the library's own symbols before those of another Embree in the process.
         library = ctypes.CDLL(str(path), mode=getattr(os, "RTLD_DEEPBIND", 0) | os.RTLD_LOCAL | os.RTLD_NOW)
@@ -124,8 +130,9 @@ def set_ray(ray, ox, oy, oz, dx, dy, dz, tnear, tfar, mask):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def intersect(scene, ray):
-    """Closest hit of a ray filled by `set_ray` in scene (uint64, RTCScene). True on a hit; then TFAR, NG (object space, not normalised), HIT_U, HIT_V and
-    the ids are set. Units: those of the scene; TFAR is in lengths of the direction."""
+    """Closest hit of a ray filled by `set_ray` in scene (uint64, RTCScene). True on a hit; then TFAR, NG (object space,
+    not normalised), HIT_U, HIT_V and the ids are set. Units: those of the scene; TFAR is in lengths of the
+    direction."""
     _intersect1(pointer(scene), pointer(np.uint64(ray.ctypes.data)), pointer(np.uint64(0)))
     return ray.view(np.uint32)[18] != INVALID
 
@@ -139,7 +146,8 @@ def occluded(scene, ray):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def intersect_with(scene, ray, arguments):
-    """`intersect` with RTCIntersectArguments at address arguments (uint64): for scenes of user geometry with a query context."""
+    """`intersect` with RTCIntersectArguments at address arguments (uint64): for scenes of user geometry with a query
+    context."""
     _intersect1(pointer(scene), pointer(np.uint64(ray.ctypes.data)), pointer(arguments))
 
 
@@ -168,7 +176,10 @@ class Device:
         weakref.finalize(self, lib.rtcReleaseDevice, self.handle).atexit = False
         version = lib.rtcGetDeviceProperty(self.handle, DEVICE_VERSION)
         if version not in VERSIONS:
-            raise InputError(f"Embree {version // 10000}.{version // 100 % 100} was loaded, 4.4 is needed: reinstall the package 'embreex', or the extension")
+            raise InputError(
+                f"Embree {version // 10000}.{version // 100 % 100} was loaded, 4.4 is needed: reinstall the package "
+                "'embreex', or the extension"
+            )
         self._bytes = np.zeros(1, np.int64)
         self._unreported = 0
         self._commits = threading.RLock()  # one at a time, so that each knows its bytes
@@ -180,7 +191,8 @@ class Device:
         return int(self._bytes[0]) - self._unreported
 
     def check(self, doing: str) -> None:
-        """Raise MemoryError or RuntimeError if Embree reported an error since the last call; doing completes "Embree failed to ..."."""
+        """Raise MemoryError or RuntimeError if Embree reported an error since the last call; doing completes "Embree
+        failed to ..."."""
         code = lib.rtcGetDeviceError(self.handle)
         if code:
             error = MemoryError if code == OUT_OF_MEMORY else RuntimeError
@@ -199,11 +211,14 @@ class Device:
             self._unreported += unreported
 
     def own(self, scene: int, owner: object, unreported: int = 0) -> None:
-        """Release a scene when owner is garbage. unreported: bytes that Embree then frees without telling its monitor."""
-        weakref.finalize(owner, self._release, scene, unreported).atexit = False  # the bound method keeps the device, and its counter, until then
+        """Release a scene when owner is garbage. unreported: bytes that Embree then frees without telling its
+        monitor."""
+        # the bound method keeps the device, and its counter, until then
+        weakref.finalize(owner, self._release, scene, unreported).atexit = False
 
     def commit(self, scene: int, doing: str) -> int:
-        """Build a scene's structure, or bring it up to date. Returns the bytes that this left allocated. From any thread; doing as for `check`."""
+        """Build a scene's structure, or bring it up to date. Returns the bytes that this left allocated. From any
+        thread; doing as for `check`."""
         with self._commits:
             before = self.bytes
             lib.rtcCommitScene(scene)
@@ -224,7 +239,6 @@ def shared_device(threads: int = 0) -> Device:
 
 
 def shared_buffer(geometry: int, kind: int, layout: int, array: np.ndarray, stride: int) -> None:
-    """Give geometry an array to read from in place; the caller keeps it alive. stride: bytes from row to row. Embree reads 16 bytes at the last row."""
+    """Give geometry an array to read from in place; the caller keeps it alive. stride: bytes from row to row. Embree
+    reads 16 bytes at the last row."""
     lib.rtcSetSharedGeometryBuffer(geometry, kind, 0, layout, array.ctypes.data, 0, stride, len(array))
-
-

@@ -16,9 +16,11 @@ from .embree import RAY, intersect_with
 ALL_CROSSINGS = 0
 MAX_NEAREST = 16
 
-# Words of a query: int64[QUERY], scratch of one thread. First what Embree takes for an RTCRayQueryContext, extended by what the callback needs.
+# Words of a query: int64[QUERY], scratch of one thread. First what Embree takes for an RTCRayQueryContext, extended by
+# what the callback needs.
 _COUNTERS, _COLUMN, _NEAREST, _FOUND, _IDS, _ENTRIES = 1, 2, 3, 4, 5, 5 + MAX_NEAREST
-_ARGUMENTS = 5 + 2 * MAX_NEAREST  # RTCIntersectArguments: flags and feature mask, context, filter, intersect, width factor
+# RTCIntersectArguments: flags and feature mask, context, filter, intersect, width factor
+_ARGUMENTS = 5 + 2 * MAX_NEAREST
 _RAY = _ARGUMENTS + 5
 _RAY += _RAY % 2  # rays are 16-byte aligned
 QUERY = _RAY + RAY // 2
@@ -28,7 +30,8 @@ QUERY = _RAY + RAY // 2
 def box_entry(low0, low1, low2, high0, high1, high2, org0, org1, org2, dir0, dir1, dir2, far):
     """Where a ray enters a box, in lengths of its direction: 0 from inside, -1 where it misses or enters beyond far.
 
-    Slabs in float64 over float32 input (Kay and Kajiya 1986): a zero component of the direction is decided by the origin alone, so no 0 x inf arises.
+    Slabs in float64 over float32 input (Kay and Kajiya 1986): a zero component of the direction is decided by the
+    origin alone, so no 0 x inf arises.
     """
     near = 0.0
     for axis in range(3):
@@ -51,7 +54,8 @@ def box_entry(low0, low1, low2, high0, high1, high2, org0, org1, org2, dir0, dir
 
 @cfunc(types.void(types.CPointer(types.uintp)), cache=True)
 def _bounds(arguments):
-    # RTCBoundsFunctionArguments: user pointer, primitive and time step, RTCBounds*. Grown a little: the callback alone decides, no box may be pruned before.
+    # RTCBoundsFunctionArguments: user pointer, primitive and time step, RTCBounds*. Grown a little: the callback alone
+    # decides, no box may be pruned before.
     prim = np.int64(arguments[1] & np.uintp(0xFFFFFFFF))
     box = carray(pointer(arguments[0]), (6 * (prim + 1),), np.float32)
     out = carray(pointer(arguments[2]), (8,), np.float32)
@@ -70,7 +74,21 @@ def _cross(arguments):
     ray = carray(pointer(arguments[4]), (12,), np.float32)
     context = carray(pointer(arguments[3]), (_ARGUMENTS,), np.int64)
     i = 6 * prim
-    entry = box_entry(box[i], box[i + 1], box[i + 2], box[i + 3], box[i + 4], box[i + 5], ray[0], ray[1], ray[2], ray[4], ray[5], ray[6], float(ray[8]))
+    entry = box_entry(
+        box[i],
+        box[i + 1],
+        box[i + 2],
+        box[i + 3],
+        box[i + 4],
+        box[i + 5],
+        ray[0],
+        ray[1],
+        ray[2],
+        ray[4],
+        ray[5],
+        ray[6],
+        float(ray[8]),
+    )
     if entry < 0.0:
         return
     nearest = context[_NEAREST]
@@ -108,9 +126,10 @@ def _cross(arguments):
 def count_crossings(hitboxes, counters, query, ray, far, ray_type, nearest):
     """Count the boxes that a segment crosses. Returns how many were counted, or 0 where every one is.
 
-    hitboxes: uint64 handle (`Hitboxes.handle`), 0 for none; counters: int64 (H, RAY_TYPES), added to atomically; query: int64[QUERY] scratch of this
-    thread, 16-byte aligned, as NumPy and numba allocate; ray: float32[RAY], origin and direction are read, nothing is changed; far: end of the
-    segment, in lengths of the direction; ray_type: column; nearest: only that many boxes, in order of entry (at most MAX_NEAREST), ALL_CROSSINGS for every one.
+    hitboxes: uint64 handle (`Hitboxes.handle`), 0 for none; counters: int64 (H, RAY_TYPES), added to atomically; query:
+    int64[QUERY] scratch of this thread, 16-byte aligned, as NumPy and numba allocate; ray: float32[RAY], origin and
+    direction are read, nothing is changed; far: end of the segment, in lengths of the direction; ray_type: column;
+    nearest: only that many boxes, in order of entry (at most MAX_NEAREST), ALL_CROSSINGS for every one.
     """
     if hitboxes == 0:
         return np.int64(0)
@@ -141,7 +160,8 @@ def count_crossings(hitboxes, counters, query, ray, far, ray_type, nearest):
 class Hitboxes:
     """Boxes of culled instances or regions in an Embree scene of their own.
 
-    bounds: (H, 2, 3) float32; counters: (H, RAY_TYPES) int64, crossings counted so far; handle: uint64, 0 where there is no box;
+    bounds: (H, 2, 3) float32; counters: (H, RAY_TYPES) int64, crossings counted so far; handle: uint64, 0 where there
+    is no box;
     bytes: Embree's memory plus the bounds.
     """
 

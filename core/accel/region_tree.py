@@ -1,11 +1,12 @@
 """A spatial tree over instances, and the cut through it that stands in for what is culled.
 
-The tree is implicit: instances in extended Morton order, nodes of level l are runs of 8**l neighbours. No pointers, no loops over instances; bounds of every
-level are reductions over the level below. The cut holds, for every culled instance, exactly one node that contains it and nothing active.
+The tree is implicit: instances in extended Morton order, nodes of level l are runs of 8**l neighbours. No pointers, no
+loops over instances; bounds of every level are reductions over the level below. The cut holds, for every culled
+instance, exactly one node that contains it and nothing active.
 
-Over frames the tree stays: boxes follow what moves, and the order is made anew where it has decayed. A region that paths ask for is split; one whose parts they
-do not ask for any more is closed again. One that is asked for soon after that stays open for a while, twice as long each time, so that none opens and closes
-forever.
+Over frames the tree stays: boxes follow what moves, and the order is made anew where it has decayed. A region that
+paths ask for is split; one whose parts they do not ask for any more is closed again. One that is asked for soon after
+that stays open for a while, twice as long each time, so that none opens and closes forever.
 """
 
 from __future__ import annotations
@@ -29,9 +30,11 @@ _SIZE_CLASSES = 8  # an instance is at most a quarter as large as one of the cla
 
 
 def spatial_order(bounds: F32) -> I32:
-    """Order of boxes (N, 2, 3) along a Morton curve, large boxes first, so that a house and a pebble never share a region: (N,) int32."""
+    """Order of boxes (N, 2, 3) along a Morton curve, large boxes first, so that a house and a pebble never share a
+    region: (N,) int32."""
     code = extended_morton_codes(bounds, _MORTON_BITS, _SIZE_CLASSES)
-    # The index in the low bits makes keys distinct: a plain sort of integers is then an argsort, stable and several times as fast.
+    # The index in the low bits makes keys distinct: a plain sort of integers is then an argsort, stable and several
+    # times as fast.
     bits = max(len(bounds) - 1, 1).bit_length()
     code >>= np.uint64(max(3 * _MORTON_BITS + 3 + bits - 64, 0))
     code = (code << np.uint64(bits)) | np.arange(len(bounds), dtype=np.uint64)
@@ -74,12 +77,13 @@ class Regions:
             self._bounds.append(enclosing(self._bounds[-1], FANOUT))
             self._extent.append(np.maximum.reduceat(self._extent[-1], np.arange(0, len(self._extent[-1]), FANOUT)))
         self.split = [np.zeros(len(level), bool) for level in self._bounds]
-        # By level, of each node: frame of its last closing, frame until which it stays open, and how often it was split again soon after.
+        # By level, of each node: frame of its last closing, frame until which it stays open, and how often it was split
+        # again soon after.
         self._closed, self._stays = ([np.zeros(len(level), np.int32) for level in self._bounds] for _ in range(2))
         self._vain = [np.zeros(len(level), np.uint8) for level in self._bounds]
         self._now: F32 | None = None  # boxes of the last frame, where some have moved; _bounds[0] spans the motion
         self._moving = np.zeros(0, np.int64)  # places that moved in the last frame
-        self._surface = self._region_surface()
+        self._surface = _surface_of(self._bounds)
         self._frame = RESPLIT_WINDOW  # changed frames so far
 
     @property
@@ -90,17 +94,11 @@ class Regions:
     @property
     def decayed(self) -> bool:
         """Whether things have moved so far that a new order is worth its cost."""
-        return self._region_surface() > REBUILD_SAH_RATIO * self._surface
-
-    def _region_surface(self) -> float:
-        """Surface of the boxes of the lowest regions: what rays meet, about."""
-        if self.levels < 2:
-            return 0.0
-        e = (self._bounds[1][:, 1] - self._bounds[1][:, 0]).astype(np.float64)
-        return float((e[:, 0] * e[:, 1] + e[:, 1] * e[:, 2] + e[:, 2] * e[:, 0]).sum())
+        return _surface_of(self._bounds) > REBUILD_SAH_RATIO * self._surface
 
     def move(self, rows: np.ndarray, bounds: F32) -> None:
-        """Take over new boxes (N, 2, 3) of the instances rows; a box then spans the place before the motion and the one after, until the next call."""
+        """Take over new boxes (N, 2, 3) of the instances rows; a box then spans the place before the motion and the one
+        after, until the next call."""
         places = self.place[rows].astype(np.int64)
         if not len(places) and not len(self._moving):
             return
@@ -129,7 +127,12 @@ class Regions:
         rows = new.order if previous is None else previous[new.order]
         old = np.where(rows >= 0, self.place[rows], -1)
         known, old = np.flatnonzero(old >= 0), old[old >= 0]
-        for mine, theirs in ((self.split, new.split), (self._closed, new._closed), (self._stays, new._stays), (self._vain, new._vain)):
+        for mine, theirs in (
+            (self.split, new.split),
+            (self._closed, new._closed),
+            (self._stays, new._stays),
+            (self._vain, new._vain),
+        ):
             for level in range(min(self.levels, new.levels)):
                 run = FANOUT**level
                 values = mine[level][old // run]
@@ -174,11 +177,13 @@ class Regions:
             if level:
                 nodes = (nodes[inside, None] * FANOUT + np.arange(FANOUT)).ravel()
                 nodes = nodes[nodes < len(self._bounds[level - 1])]
-        # Finest first: where boxes coincide, a ray that counts the nearest few takes the first, and so gets to single instances without opening all of them.
+        # Finest first: where boxes coincide, a ray that counts the nearest few takes the first, and so gets to single
+        # instances without opening all of them.
         return Cut(np.concatenate(levels[::-1]), np.concatenate(indices[::-1]), np.concatenate(bounds[::-1]))
 
     def close(self, active: np.ndarray, cut: Cut, crossings: I64) -> None:
-        """Take back the splits whose parts paths do not ask for: crossings (H,) of all the boxes of a cut around active (indices)."""
+        """Take back the splits whose parts paths do not ask for: crossings (H,) of all the boxes of a cut around active
+        (indices)."""
         occupied = self._occupied(active)
         leaves = cut.level == 0
         sums, open_below = np.zeros(0, np.int64), np.zeros(0, bool)
@@ -199,7 +204,8 @@ class Regions:
             open_below |= self.split[level]
 
     def split_nodes(self, cut: Cut, rows: np.ndarray, wanted: np.ndarray) -> None:
-        """Open nodes of a cut (rows into it) deep enough for wanted (one per row) boxes to stand in for each; single instances are passed over.
+        """Open nodes of a cut (rows into it) deep enough for wanted (one per row) boxes to stand in for each; single
+        instances are passed over.
 
         Those that were closed just now are opened by one level only: paths do not want what they did not want before.
         """
@@ -231,7 +237,8 @@ class Regions:
         return self.order[places]
 
     def in_view(self, view: View, share: float) -> I32:
-        """Instances whose box touches what a camera sees and is as large as this share of the picture's width, or larger: by descent, not one by one."""
+        """Instances whose box touches what a camera sees and is as large as this share of the picture's width, or
+        larger: by descent, not one by one."""
         nodes = np.arange(len(self._bounds[-1]))
         for level in range(self.levels - 1, -1, -1):
             nodes = nodes[view.shows(self._bounds[level][nodes], self._extent[level][nodes], share)]
@@ -241,8 +248,17 @@ class Regions:
         return self.order[nodes]
 
     def release(self, instances: np.ndarray) -> np.ndarray:
-        """Of active instances (indices) that no path met: those to be culled. The others were culled not long ago, and asked for again."""
+        """Of active instances (indices) that no path met: those to be culled. The others were culled not long ago, and
+        asked for again."""
         places = self.place[instances]
         free = self._stays[0][places] <= self._frame
         self._closed[0][places[free]] = self._frame
         return instances[free]
+
+
+def _surface_of(levels: list[F32]) -> float:
+    """Surface of the boxes of the lowest regions of a tree, by levels: what rays meet, about."""
+    if len(levels) < 2:
+        return 0.0
+    e = (levels[1][:, 1] - levels[1][:, 0]).astype(np.float64)
+    return float((e[:, 0] * e[:, 1] + e[:, 1] * e[:, 2] + e[:, 2] * e[:, 0]).sum())

@@ -1,4 +1,5 @@
-"""Which BLASes are in memory where bytes, or milliseconds per frame, are limited: those of the most valuable instances."""
+"""Which BLASes are in memory where bytes, or milliseconds per frame, are limited: those of the most valuable
+instances."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from .blas import BlasCache
 
 
 class Residency:
-    """The BLASes of instances, within a budget. seconds: of building per frame, limit: bytes of all BLASes; 0 for none."""
+    """The BLASes of instances, within a budget. seconds: of building per frame, limit: bytes of all BLASes; 0 for
+    none."""
 
     def __init__(self, blas: BlasCache, seconds: float, limit: int, hysteresis: float) -> None:
         """hysteresis: how many times less valuable than what waits for a BLAS something must be to lose its own."""
@@ -28,7 +30,8 @@ class Residency:
         return bool(self._seconds)
 
     def schedule(self, mesh: I32, active: np.ndarray, value: F32, step: Callable[[int, int], None]) -> None:
-        """Have the BLASes of active instances, (N,) bool, built or scheduled, the most valuable first. mesh: (N,) of each; value: (N,)."""
+        """Have the BLASes of active instances, (N,) bool, built or scheduled, the most valuable first. mesh: (N,) of
+        each; value: (N,)."""
         rows = np.flatnonzero(active)
         meshes, users = np.unique(mesh[rows], return_inverse=True)
         worth = np.bincount(users, value[rows], len(meshes)).astype(np.float64)

@@ -15,13 +15,15 @@ from .embree import INST_ID, INST_PRIM_ID
 class Tlas:
     """Active instances over their BLASes, ready for `embree.intersect(tlas.handle, ray)`.
 
-    Instances are grouped by their visibility bits, which become Embree's geometry masks: a ray of type t, traced with mask 1 << t, meets what is visible to it.
-    ids: (A,) int32 instance of every TLAS entry; first: (G + 1,) int64 offsets of the groups in ids.
+    Instances are grouped by their visibility bits, which become Embree's geometry masks: a ray of type t, traced with
+    mask 1 << t, meets what is visible to it. ids: (A,) int32 instance of every TLAS entry; first: (G + 1,) int64
+    offsets of the groups in ids.
     bytes: Embree's memory plus the arrays it reads in place.
     """
 
     def __init__(self, instances: Instances, blas: BlasCache, active: np.ndarray) -> None:
-        """Build over the instances where active (N,) bool holds; their meshes must be in blas. Meshes without triangles are left out."""
+        """Build over the instances where active (N,) bool holds; their meshes must be in blas. Meshes without triangles
+        are left out."""
         device, lib = blas.device, embree.lib
         self._blas = blas  # keeps the device
         chosen = np.flatnonzero(active).astype(np.int32)
@@ -32,10 +34,12 @@ class Tlas:
         groups, starts = np.unique(visibility[order], return_index=True)
         self.first: I64 = np.append(starts, len(chosen)).astype(np.int64)
         meshes, entry_mesh = np.unique(instances.mesh[self.ids], return_inverse=True)
-        self._built = blas.built(meshes)  # with the vertices that Embree reads in place, also when the cache lets go of them
+        # with the vertices that Embree reads in place, also when the cache lets go of them
+        self._built = blas.built(meshes)
         self._scenes = np.ascontiguousarray(blas.scenes[meshes])
         self._index = np.ascontiguousarray(entry_mesh, np.uint32)
-        self._transform = np.ascontiguousarray(instances.transform[self.ids].transpose(0, 2, 1))  # columns, as Embree wants them
+        # columns, as Embree wants them
+        self._transform = np.ascontiguousarray(instances.transform[self.ids].transpose(0, 2, 1))
         self._only = np.zeros(1, np.uint32)
         scene, unreported = device.new_scene(embree.SCENE_ROBUST), 0
         for mask, a, b in zip(groups.tolist(), self.first[:-1].tolist(), self.first[1:].tolist(), strict=True):
@@ -45,7 +49,9 @@ class Tlas:
                 scenes, index = self._scenes[index[0] :][:1], self._only
             lib.rtcSetGeometryInstancedScenes(geometry, scenes.ctypes.data, len(scenes))
             unreported += scenes.nbytes  # Embree (4.4) counts its copy of the handles, but not that it is freed
-            embree.shared_buffer(geometry, embree.BUFFER_TRANSFORM, embree.FORMAT_FLOAT3X4_COLUMN_MAJOR, self._transform[a:b], 48)
+            embree.shared_buffer(
+                geometry, embree.BUFFER_TRANSFORM, embree.FORMAT_FLOAT3X4_COLUMN_MAJOR, self._transform[a:b], 48
+            )
             embree.shared_buffer(geometry, embree.BUFFER_INDEX, embree.FORMAT_UINT, index, 4)
             lib.rtcSetGeometryMask(geometry, mask)
             lib.rtcCommitGeometry(geometry)

@@ -1,4 +1,5 @@
-"""Which instances are active, and how what paths report changes that: requests of boxes, emitters, what comes into view, what nobody needs any more."""
+"""Which instances are active, and how what paths report changes that: requests of boxes, emitters, what comes into
+view, what nobody needs any more."""
 
 from __future__ import annotations
 
@@ -22,9 +23,10 @@ LARGE = 0.05  # of the picture's width: what comes into view this large is activ
 class Activation:
     """The activation of a scene's instances, from round to round and from frame to frame.
 
-    exists, pinned: (N,) bool. active: (N,) bool, instances that are, or are to be, in the TLAS. kept: (N,) bool, what the last decision kept.
-    known: (N,) bool, what it measured, None where there was none. value: (N,) float32, share of the paths that met an instance, or asked for it, when that was
-    last known. regions: the tree whose cut stands in for all others.
+    exists, pinned: (N,) bool. active: (N,) bool, instances that are, or are to be, in the TLAS. kept: (N,) bool, what
+    the last decision kept.
+    known: (N,) bool, what it measured, None where there was none. value: (N,) float32, share of the paths that met an
+    instance, or asked for it, when that was last known. regions: the tree whose cut stands in for all others.
     """
 
     def __init__(self, scene: Scene, pinned: np.ndarray | None = None) -> None:
@@ -56,7 +58,10 @@ class Activation:
     def divide(self, scene: Scene) -> None:
         """Go on with a scene of more instances behind the ones that there were, of which some exist no more."""
         count = len(self.active)
-        self._carry(scene.instances.bounds, np.append(np.arange(count, dtype=np.int32), np.full(len(scene.instances) - count, -1, np.int32)))
+        self._carry(
+            scene.instances.bounds,
+            np.append(np.arange(count, dtype=np.int32), np.full(len(scene.instances) - count, -1, np.int32)),
+        )
         self._pin(np.append(self.pinned, np.zeros(len(scene.instances) - count, bool)))
 
     def _pin(self, pinned: np.ndarray | None) -> None:
@@ -99,16 +104,19 @@ class Activation:
         self.active |= instances
 
     def activate_alone(self, instances: np.ndarray) -> None:
-        """Have a set of instances, (N,) bool, active, and no other: nothing else asks for what stays of the last frame."""
+        """Have a set of instances, (N,) bool, active, and no other: nothing else asks for what stays of the last
+        frame."""
         self.active = instances.copy()
 
     def activate_for_witness(self, instances: np.ndarray) -> None:
-        """Have a set of instances, (N,) bool, active until the next decision, unless a measurement finds out about them."""
+        """Have a set of instances, (N,) bool, active until the next decision, unless a measurement finds out about
+        them."""
         self._opened.append(np.flatnonzero(instances & ~self.active))
         self.active |= instances
 
     def activate_newly_visible(self, scene: Scene, first: bool) -> None:
-        """Activate large instances that have come into view since the last frame: the first frame with them is to show them (latency mitigation)."""
+        """Activate large instances that have come into view since the last frame: the first frame with them is to show
+        them (latency mitigation)."""
         shown = self.regions.in_view(View.of(scene.camera), LARGE)
         shown = np.sort(shown[(scene.instances.flags[shown] & (1 << RayType.CAMERA)) != 0])
         if not first:
@@ -118,7 +126,8 @@ class Activation:
         self._shown = shown
 
     def open_requested_boxes(self, cut: Cut, feedback: Feedback, emissive: I64) -> float:
-        """Open the boxes that paths asked for, activate instances met before they were active. Returns how many segments per path asked."""
+        """Open the boxes that paths asked for, activate instances met before they were active. Returns how many
+        segments per path asked."""
         crossings = feedback.boxes.sum(axis=1)
         enough = _detection_limit(crossings, feedback.paths)
         asked = np.flatnonzero(crossings >= enough)
@@ -136,17 +145,21 @@ class Activation:
         return float(crossings[asked].sum()) / max(feedback.paths, 1)
 
     def activate_contributing_emitters(self, cut: Cut, feedback: Feedback, emissive: I64) -> None:
-        """Activate every emitter that lit a path, or whose box one crossed: few paths may carry much of a tile's light."""
+        """Activate every emitter that lit a path, or whose box one crossed: few paths may carry much of a tile's
+        light."""
         if len(emissive):
             crossed = np.flatnonzero((cut.level == 0) & feedback.boxes.any(axis=1))
             lit = feedback.hits[emissive].any(axis=1) | np.isin(emissive, self.regions.order[cut.index[crossed]])
             self.active[emissive[lit]] = True
 
     def open_crossed_boxes(self, cut: Cut, feedback: Feedback, emissive: I64) -> bool:
-        """Open every box of a cut that a path of a witness crossed, and activate emitters that lit one. Returns whether there was any."""
+        """Open every box of a cut that a path of a witness crossed, and activate emitters that lit one. Returns whether
+        there was any."""
         crossings = feedback.boxes.sum(axis=1)
         asked = np.flatnonzero(crossings)
-        rows = np.concatenate([self.regions.order[cut.index[asked[cut.level[asked] == 0]]], emissive[feedback.hits[emissive].any(axis=1)]])
+        rows = np.concatenate(
+            [self.regions.order[cut.index[asked[cut.level[asked] == 0]]], emissive[feedback.hits[emissive].any(axis=1)]]
+        )
         rows = rows[~self.active[rows]]
         self._opened.append(rows)
         self.active[rows] = True
@@ -168,7 +181,8 @@ class Activation:
 
 
 def _detection_limit(crossings: I64, paths: int) -> int:
-    """How often a box must be crossed to be opened: where most of what paths cross are boxes that few of them cross, once is enough, for chance is the rule."""
+    """How often a box must be crossed to be opened: where most of what paths cross are boxes that few of them cross,
+    once is enough, for chance is the rule."""
     often = int(crossings[crossings >= COLD_HITS].sum())
     seldom = int(crossings.sum()) - often
     return 1 if seldom > often and seldom > SETTLED * paths else COLD_HITS

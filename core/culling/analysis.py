@@ -25,15 +25,22 @@ from .measurement import Measurement, Traced
 from .options import CullOptions
 from .policies import LIGHT_PATHS
 from .result import CullingResult
+from .witness import trace_witness
 
-PRICELESS = 50.0  # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with more than that
+# times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with
+# more than that
+PRICELESS = 50.0
 DENSER_TIMES = 2  # that a measurement gets more paths in some tiles, at most
 DOUBTS = 2  # sets that a search gives up for noise, before it does
 ATTEMPTS = 3  # at a certificate, each with twice the paths of the one before
 
 
 def analyze(
-    scene: Scene, options: CullOptions, progress: Progress = silent, cancelled: Callable[[], bool] | None = None, pinned: np.ndarray | None = None
+    scene: Scene,
+    options: CullOptions,
+    progress: Progress = silent,
+    cancelled: Callable[[], bool] | None = None,
+    pinned: np.ndarray | None = None,
 ) -> CullingResult:
     """Decide which instances of a frame stay; those of pinned, (N,) bool, always do.
 
@@ -67,7 +74,8 @@ def reaches(met: np.ndarray, paths: int, share: np.ndarray | float) -> np.ndarra
 def by_counts(loop: Loop, measured: Measurement, min_share: float) -> CullingResult:
     """Keep what at least min_share of the paths meet; the score is that share.
 
-    Which share of the light is not known, for it passes boxes that too few paths asked for, is reported (`unknown_mean`, `unknown_worst`).
+    Which share of the light is not known, for it passes boxes that too few paths asked for, is reported
+    (`unknown_mean`, `unknown_worst`).
 
     Hysteresis over frames: what the last frame kept stays while it is met by min_share / options.hysteresis of them.
     """
@@ -84,19 +92,22 @@ def by_counts(loop: Loop, measured: Measurement, min_share: float) -> CullingRes
 def _unknown(loop: Loop, first_sample: int, samples: int) -> F64:
     """(T,) share of each tile's light that so many fresh paths per pixel carry through boxes that are not opened."""
     only: NDArray[np.uint8] = np.ones((loop.size[1], loop.size[0], samples), np.uint8)
-    witness = loop.witness(first_sample, only, Budget(np.inf, np.inf))
+    witness = trace_witness(loop, first_sample, only, Budget(np.inf, np.inf))
     return np.asarray(witness.unknown / np.maximum(witness.light, max(DARK * float(witness.light.mean()), 1e-30)))
 
 
 def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progress = silent) -> CullingResult:
-    """Cull what saves most while the picture surely changes by no more than the budget; the score is the share of the picture that an instance is worth.
+    """Cull what saves most while the picture surely changes by no more than the budget; the score is the share of the
+    picture that an instance is worth.
 
-    What each instance is worth alone does not say what many are worth together, nor what lies behind them: `Search` traces without them and finds out.
-    The sets that it finds are then judged by paths that chose none of them. Where even the smallest of them may break the budget, these paths have met what the
-    others did not: all is measured again, by twice as many; once also where nothing may go, though the search says so. In the end what is not certified stays.
+    What each instance is worth alone does not say what many are worth together, nor what lies behind them: `Search`
+    traces without them and finds out. The sets that it finds are then judged by paths that chose none of them. Where
+    even the smallest of them may break the budget, these paths have met what the others did not: all is measured again,
+    by twice as many; once also where nothing may go, though the search says so. In the end what is not certified stays.
 
-    Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that uses up the budget or all but a factor of
-    options.hysteresis; else what it kept goes only where others would save so many times less for the same change.
+    Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that
+    uses up the budget or all but a factor of options.hysteresis; else what it kept goes only where others would save so
+    many times less for the same change.
     """
     attempts = 1 if loop.limited else ATTEMPTS
     for attempt in range(attempts):
@@ -108,7 +119,9 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
             return _kept(loop, units, cull, ids)
 
         sets = [step.cull for step in steps if loop.limited or step.cull.any()]
-        verdict = Certificate(loop, measured.next_sample, measured.samples, budget).walk(sets, units, keep_of, part(within, 0.5, 0.9))
+        verdict = Certificate(loop, measured.next_sample, measured.samples, budget).walk(
+            sets, units, keep_of, part(within, 0.5, 0.9)
+        )
         fruitless = verdict.cull is None or (attempt == 0 and len(sets) > 0 and not verdict.cull.any())
         if not fruitless or attempt == attempts - 1:
             break
@@ -116,23 +129,32 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     return _decided(loop, measured, units, steps, verdict, searched)
 
 
-def _decided(loop: Loop, measured: Measurement, units: Units, steps: list[Choice], verdict: Verdict, searched: int) -> CullingResult:
-    """States and figures by what is certified; where nothing is, all stays that may, and that is said. searched: paths of the search."""
+def _decided(
+    loop: Loop, measured: Measurement, units: Units, steps: list[Choice], verdict: Verdict, searched: int
+) -> CullingResult:
+    """States and figures by what is certified; where nothing is, all stays that may, and that is said. searched: paths
+    of the search."""
     warnings = []
     cull, keep, estimate, unknown = verdict.cull, verdict.keep, verdict.estimate, verdict.unknown
     if cull is None:
         cull = steps[0].cull
         warnings.append(
-            f"not within the error budget: what is left out for want of bytes or milliseconds, or was not looked at, may change the picture by "
-            f"{100 * estimate.upper_mean(verdict.confidence):.2g} % in the mean, {100 * estimate.upper_worst(verdict.confidence):.2g} % in the worst tile"
+            "not within the error budget: what is left out for want of bytes or milliseconds, or was not looked at, "
+            "may change the picture by "
+            f"{100 * estimate.upper_mean(verdict.confidence):.2g} % in the mean, "
+            f"{100 * estimate.upper_worst(verdict.confidence):.2g} % in the worst tile"
         )
     elif len(steps) > 1 and not cull.any():
-        warnings.append("of nothing it is sure that the picture may go without it, at this error budget: everything is kept")
+        warnings.append(
+            "of nothing it is sure that the picture may go without it, at this error budget: everything is kept"
+        )
     ids, worth = measured.tlas.ids, measured.worth
     score = np.zeros(len(loop.activation), np.float32)
     score[ids] = worth.mean(axis=1)
     predicted = units.worth[cull].sum(axis=0)
-    chosen = max((step for step in steps if not (step.cull & ~cull).any()), key=lambda step: step.cull.sum(), default=steps[0])
+    chosen = max(
+        (step for step in steps if not (step.cull & ~cull).any()), key=lambda step: step.cull.sum(), default=steps[0]
+    )
     error = {
         "predicted_mean": float(predicted.mean()),
         "predicted_worst": float(predicted.max(initial=0.0)),
@@ -149,10 +171,14 @@ def _decided(loop: Loop, measured: Measurement, units: Units, steps: list[Choice
     return loop.result(keep, score, measured.feedback.hits, tuple(warnings), **error)
 
 
-def _searched(loop: Loop, measured: Measurement, budget: Budget, progress: Progress) -> tuple[Measurement, Units, list[Choice], int]:
-    """Units of what was measured and of what was not met, sets of them that keep to the budget by the paths of the measurement, and how many were traced.
+def _searched(
+    loop: Loop, measured: Measurement, budget: Budget, progress: Progress
+) -> tuple[Measurement, Units, list[Choice], int]:
+    """Units of what was measured and of what was not met, sets of them that keep to the budget by the paths of the
+    measurement, and how many were traced.
 
-    Where noise alone stands between a set and the budget, all is measured by more paths in the tiles in question, and the search begins anew.
+    Where noise alone stands between a set and the budget, all is measured by more paths in the tiles in question, and
+    the search begins anew.
     """
     traced, first, times = 0, float(measured.samples.sum()), 0
     last = loop.limited  # no more paths are to be had: the search goes on in spite of doubts

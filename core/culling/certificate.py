@@ -1,10 +1,12 @@
 """A certificate: how much culling changes a picture, by paths that chose nothing of what is culled.
 
-A search proposes a sequence of sets, each culling more than the one before. Fresh paths, through the full scene as far as they need it, walk down that
-sequence, step by step. Tested in a fixed order, no set needs a correction for the others (hierarchical testing, Maurer et al. 1995); a step that fails is
-walked in pieces, which is a second such test, and both share the doubt. Where only chance stands between a set
-and the budget, more paths are traced in the tiles that doubt it, at most LOOKS times; each look has its share of the doubt. A tile that a set may change too
-much is full: nothing else is culled that is worth anything to it, and the walk goes on for the others.
+A search proposes a sequence of sets, each culling more than the one before. Fresh paths, through the full scene as far
+as they need it, walk down that sequence, step by step. Tested in a fixed order, no set needs a correction for the
+others (hierarchical testing, Maurer et al. 1995); a step that fails is walked in pieces, which is a second such test,
+and both share the doubt. Where only chance stands between a set
+and the budget, more paths are traced in the tiles that doubt it, at most LOOKS times; each look has its share of the
+doubt. A tile that a set may change too much is full: nothing else is culled that is worth anything to it, and the walk
+goes on for the others.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from ..feedback.path_log import PathLog
 from ..feedback.tiles import TILES, marks
 from ..progress import Progress, part, silent
 from .loop import Loop
-from .measurement import Witness
+from .witness import Witness, trace_witness
 
 LOOKS = 6  # in all, each doubles the paths of the tiles in doubt
 DENSEST = 16  # times the paths of a first look, in a tile at most
@@ -51,9 +53,10 @@ class Accepted:
 class Verdict:
     """What surely keeps the budget.
 
-    cull: (U,) bool units, None where no set of the sequence does, nor that nothing is culled, for builds are limited; keep: (N,) bool instances that stay.
-    estimate: the change by that, or by the first set.
-    confidence: of each of its bounds. unknown: (T,) float64, what of it is charged for boxes that were not opened. paths: how many were traced.
+    cull: (U,) bool units, None where no set of the sequence does, nor that nothing is culled, for builds are limited;
+    keep: (N,) bool instances that stay. estimate: the change by that, or by the first set.
+    confidence: of each of its bounds. unknown: (T,) float64, what of it is charged for boxes that were not opened.
+    paths: how many were traced.
     """
 
     cull: np.ndarray | None
@@ -67,24 +70,34 @@ class Verdict:
 class Certificate:
     """Paths that judge the sets of a sequence."""
 
-    def __init__(self, loop: Loop, first_sample: int, samples: I64, budget: Budget, confidence: float = CONFIDENCE) -> None:
-        """first_sample, samples: of the first paths, so many per pixel of each tile, (T,); the numbers behind these are taken too. confidence: that both bounds
-        hold.
+    def __init__(
+        self, loop: Loop, first_sample: int, samples: I64, budget: Budget, confidence: float = CONFIDENCE
+    ) -> None:
+        """first_sample, samples: of the first paths, so many per pixel of each tile, (T,); the numbers behind these are
+        taken too. confidence: that both bounds hold.
         """
         self.loop, self.next_sample, self.samples, self.budget = loop, first_sample, samples, budget
         self.each = 1 - (1 - confidence) / (LOOKS * LEVELS)
         self.paths = self._again = self._looks = 0  # traced in all, and in doubtful tiles; how often
-        self._held = np.zeros(len(loop.activation), bool)  # what the paths have in their full scene, whether they met it or not
+        # what the paths have in their full scene, whether they met it or not
+        self._held = np.zeros(len(loop.activation), bool)
         self._layers: list[_Layer] = []
 
-    def walk(self, sets: Iterable[np.ndarray], units: Units, keep_of: Callable[[np.ndarray], np.ndarray], progress: Progress = silent) -> Verdict:
+    def walk(
+        self,
+        sets: Iterable[np.ndarray],
+        units: Units,
+        keep_of: Callable[[np.ndarray], np.ndarray],
+        progress: Progress = silent,
+    ) -> Verdict:
         """Judge sets of units, (U,) bool, each a part of the next. keep_of: the instances that a set leaves, (N,) bool.
 
         Raises Cancelled.
         """
         full = np.zeros(TILES, bool)
         failed = 0
-        nothing = Accepted(np.zeros(len(units), bool), self.loop.activation.exists.copy(), NOTHING)  # which has not to be looked at, nor built
+        # which has not to be looked at, nor built
+        nothing = Accepted(np.zeros(len(units), bool), self.loop.activation.exists.copy(), NOTHING)
         accepted = None if self.loop.limited else nothing
         for k, cull in enumerate(sets):
             within = part(progress, 1 - 0.9**k, 1 - 0.9 ** (k + 1), "certifying, ")
@@ -117,7 +130,9 @@ class Certificate:
 
     def _verdict(self, accepted: Accepted | None, keep: np.ndarray, estimate: ErrorEstimate) -> Verdict:
         """keep, estimate: of the set that was judged last, where none was accepted."""
-        cull, keep, estimate = (None, keep, estimate) if accepted is None else (accepted.cull, accepted.keep, accepted.estimate)
+        cull, keep, estimate = (
+            (None, keep, estimate) if accepted is None else (accepted.cull, accepted.keep, accepted.estimate)
+        )
         unknown = self.unknown if cull is None or cull.any() else np.zeros(TILES)
         return Verdict(cull, keep, estimate, 0.5 * (1 + self.each), unknown, self.paths)
 
@@ -133,8 +148,12 @@ class Certificate:
         return Light.of(*(layer.reference for layer in self._layers))
 
     def judge(self, keep: np.ndarray, progress: Progress = silent) -> ErrorEstimate:
-        """The change by a set, (N,) bool of what stays, with as many looks as it takes to be sure, or that there are left."""
-        if (keep & ~self._held).any():  # the first set, or a part of one that broke the budget: less of the rest of the scene would be to be built else
+        """The change by a set, (N,) bool of what stays, with as many looks as it takes to be sure, or that there are
+        left."""
+        if (
+            keep & ~self._held
+            # the first set, or a part of one that broke the budget: less of the scene would be left to build
+        ).any():
             self.loop.include(keep)
             self._held |= keep
             self._layers.clear()
@@ -162,7 +181,7 @@ class Certificate:
         width, height = self.loop.size
         only = marks(samples, height, width)
         tolerated = Budget(TOLERATED * self.budget.mean, TOLERATED * self.budget.worst)
-        witness = self.loop.witness(self.next_sample, only, tolerated, progress)
+        witness = trace_witness(self.loop, self.next_sample, only, tolerated, progress)
         self.next_sample += only.shape[2]
         self.paths += int(np.count_nonzero(only))
         self._looks += 1
@@ -174,9 +193,15 @@ class Certificate:
             return False
         first, paths = self._layers[0].reference.paths, self._light.paths
         tiles = estimate.doubtful(self.budget, self.each) & (paths < DENSEST * first)
-        samples = np.where(tiles, (np.minimum(paths / np.maximum(first, 1), STEEPEST) * self.samples).astype(np.int64), 0)
+        samples = np.where(
+            tiles, (np.minimum(paths / np.maximum(first, 1), STEEPEST) * self.samples).astype(np.int64), 0
+        )
         cost = int((first / self.samples * samples).sum())
-        if not tiles.any() or self._again + cost > MORE * first.sum() or not estimate.may_hold(self.budget, self.each, DENSEST * first / paths):
+        if (
+            not tiles.any()
+            or self._again + cost > MORE * first.sum()
+            or not estimate.may_hold(self.budget, self.each, DENSEST * first / paths)
+        ):
             return False
         self._again += cost
         self._add(samples, progress)
@@ -195,10 +220,13 @@ class _Layer:
         self._keep, self._tlas = loop.activation.exists, witness.tlas
 
     def propose(self, keep: np.ndarray, tlas: Tlas) -> int:
-        """A set, (N,) bool of what stays, in tlas, that culls what was accepted and more. Returns how many paths are traced for it."""
+        """A set, (N,) bool of what stays, in tlas, that culls what was accepted and more. Returns how many paths are
+        traced for it."""
         self._keep, self._tlas = keep, tlas
         return self.trial.propose(~keep[self.witness.tlas.ids])
 
     def _without(self, cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
-        self._loop.tracer.trace_without(self.witness.tlas, self.witness.first_sample, self._keep, self._tlas, only, self._buffer)
+        self._loop.tracer.trace_without(
+            self.witness.tlas, self.witness.first_sample, self._keep, self._tlas, only, self._buffer
+        )
         return self._buffer

@@ -1,8 +1,8 @@
 """Large meshes divided into parts, as light paths ask for them: a level of the region tree below the instance.
 
-An instance whose mesh may be divided is a box like any other until paths ask for it. Then its mesh is read, and its parts, runs of neighbouring triangles, take
-its place: each an instance with a hitbox, a state and a BLAS of its own, which paths ask for in turn. So whole meshes are never built where parts do, and what
-nobody asks for is never read.
+An instance whose mesh may be divided is a box like any other until paths ask for it. Then its mesh is read, and its
+parts, runs of neighbouring triangles, take its place: each an instance with a hitbox, a state and a BLAS of its own,
+which paths ask for in turn. So whole meshes are never built where parts do, and what nobody asks for is never read.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ PART = 256  # triangles of a part: with fewer more is culled, with more the part
 
 @dataclass(frozen=True)
 class Parts:
-    """A mesh in parts. order: (T,) int32 its triangles along a Morton curve; part p has those from p * PART on. boxes: (P, 2, 3) float32, object space."""
+    """A mesh in parts. order: (T,) int32 its triangles along a Morton curve; part p has those from p * PART on. boxes:
+    (P, 2, 3) float32, object space."""
 
     mesh: Mesh
     order: I32
@@ -83,14 +84,21 @@ class _Meshes(MeshSequence):
 class Division:
     """A scene of which more and more meshes are divided.
 
-    scene: its instances as they were, N of them, of which those that are divided exist no more, and behind them the parts.
+    scene: its instances as they were, N of them, of which those that are divided exist no more, and behind them the
+    parts.
     """
 
     @staticmethod
     def of(scene: Scene, options: CullOptions, limited: bool) -> Division | None:
-        """What is to be divided where light paths decide, in as many rounds as they need; not where builds are limited, nor where a raster's first hits lie on
-        whole meshes."""
-        wanted = options.parts and options.policy == LIGHT_PATHS and options.max_iterations > 1 and not limited and not scene.first_hits
+        """What is to be divided where light paths decide, in as many rounds as they need; not where builds are limited,
+        nor where a raster's first hits lie on whole meshes."""
+        wanted = (
+            options.parts
+            and options.policy == LIGHT_PATHS
+            and options.max_iterations > 1
+            and not limited
+            and not scene.first_hits
+        )
         return Division(scene) if wanted and (scene.instances.flags & InstanceFlag.DIVISIBLE).any() else None
 
     def __init__(self, scene: Scene) -> None:
@@ -142,21 +150,36 @@ class Division:
         return np.repeat(np.array(self._rows, np.int64), [len(parts.boxes) for parts in self._parts])
 
     def joined(self, result: CullingResult) -> CullingResult:
-        """Of a result for the divided scene, one for the instances as they were: what is divided is active where a part is.
+        """Of a result for the divided scene, one for the instances as they were: what is divided is active where a part
+        is.
 
         What paths carry through parts adds up; a path that meets several counts several times.
         """
         if not self._rows:
             return result
         n, owner = len(self._whole.instances), self.owner
-        state, score, hits, stats = result.state[:n].copy(), result.score[:n].copy(), result.hits[:n].copy(), dict(result.stats)
+        state, score, hits, stats = (
+            result.state[:n].copy(),
+            result.score[:n].copy(),
+            result.hits[:n].copy(),
+            dict(result.stats),
+        )
         active = result.state[n:] == State.ACTIVE
         state[owner[active]] = State.ACTIVE
         np.add.at(score, owner, result.score[n:])
         np.add.at(hits, owner, result.hits[n:])
         ends = np.cumsum([len(parts.boxes) for parts in self._parts])[:-1]
-        kept = {row: parts.faces(a) for row, parts, a in zip(self._rows, self._parts, np.split(active, ends), strict=True) if a.any()}
+        kept = {
+            row: parts.faces(a)
+            for row, parts, a in zip(self._rows, self._parts, np.split(active, ends), strict=True)
+            if a.any()
+        }
         counts = np.bincount(state, minlength=len(State))
-        stats |= {"instances": n, "active": int(counts[State.ACTIVE]), "pending": int(counts[State.PENDING]), "culled": int(counts[State.CULLED])}
+        stats |= {
+            "instances": n,
+            "active": int(counts[State.ACTIVE]),
+            "pending": int(counts[State.PENDING]),
+            "culled": int(counts[State.CULLED]),
+        }
         stats |= {"parts": len(owner), "parts_active": int(active.sum())}
         return dataclasses.replace(result, state=state, score=score, hits=hits, stats=stats, faces=kept)

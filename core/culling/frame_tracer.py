@@ -31,10 +31,13 @@ BOXES_PER_SEGMENT = 4  # nearest boxes that a ray segment asks for
 class FrameTracer:
     """Paths through sets of a frame's instances; what they need is built first.
 
-    size: width and height of the analysis picture. paths, rays: traced so far in this frame. timer: seconds of its steps, of those of its callers too.
+    size: width and height of the analysis picture. paths, rays: traced so far in this frame. timer: seconds of its
+    steps, of those of its callers too.
     """
 
-    def __init__(self, scene: Scene, options: CullOptions, residency: Residency, cancelled: Callable[[], bool] | None) -> None:
+    def __init__(
+        self, scene: Scene, options: CullOptions, residency: Residency, cancelled: Callable[[], bool] | None
+    ) -> None:
         self._options, self.residency = options, residency
         self._enter(scene, cancelled)
         with self.timer.step("build_s"):
@@ -56,7 +59,8 @@ class FrameTracer:
         self.timer = Timer()
         self.paths = self.rays = 0
         self.size = self._options.picture_size(scene.film)
-        self.next_sample = ROUNDS_FROM  # a measurement has the first ones, in every frame the same: what did not change measures the same
+        # a measurement has the first ones, in every frame the same: what did not change measures the same
+        self.next_sample = ROUNDS_FROM
 
     @property
     def blas(self) -> BlasCache:
@@ -74,7 +78,8 @@ class FrameTracer:
         return step
 
     def build(self, active: np.ndarray, progress: Progress = silent) -> Tlas:
-        """The TLAS over active (N,) bool instances; within a budget over those whose BLAS is there, else their BLASes are built first."""
+        """The TLAS over active (N,) bool instances; within a budget over those whose BLAS is there, else their BLASes
+        are built first."""
         with self.timer.step("build_s"):
             if not self.residency.limited:
                 self.blas.need(self.scene.instances.mesh[active], self.step(progress))
@@ -90,7 +95,8 @@ class FrameTracer:
         size: tuple[int, int] | None = None,
         log: PathLog | None = None,
     ) -> tuple[Feedback, F32]:
-        """Trace samples paths per pixel of a picture of size (the analysis' own by default), with random numbers that no earlier round used.
+        """Trace samples paths per pixel of a picture of size (the analysis' own by default), with random numbers that
+        no earlier round used.
 
         Returns feedback and the mean picture.
         """
@@ -113,45 +119,60 @@ class FrameTracer:
         """Feedback and mean picture of the samples from first_sample on."""
         with self.timer.step("trace_s"):
             feedback = Feedback.zeros(len(self.scene.instances), boxes, weights)
-            picture = self._trace(prepared, tlas, samples, first_sample, feedback, progress, size or self.size, log, only)
+            picture = self._trace(
+                prepared, tlas, samples, first_sample, feedback, progress, size or self.size, log, only
+            )
             self.paths += picture.paths
             feedback.paths = picture.paths
         return feedback, picture.mean
 
     def trace_again(self, keep: np.ndarray, first_sample: int, samples: int, progress: Progress = silent) -> F32:
-        """The mean picture with only keep (N,) bool in the scene, by the same random numbers as a trace that began at first_sample.
+        """The mean picture with only keep (N,) bool in the scene, by the same random numbers as a trace that began at
+        first_sample.
 
         Culled emitters are still picked by light sampling, and give nothing: other picks would be other random numbers.
         """
         tlas = self.build(keep)
         with self.timer.step("trace_s"):
-            return self._trace(self.with_only_emitters(keep), tlas, samples, first_sample, None, progress, self.size).mean
+            return self._trace(
+                self.with_only_emitters(keep), tlas, samples, first_sample, None, progress, self.size
+            ).mean
 
-    def trace_paths(self, keep: np.ndarray, first_sample: int, only: NDArray[np.uint8], progress: Progress = silent) -> tuple[F32, F32]:
-        """Again the paths that only, (H, W, S) uint8, marks of a trace that began at first_sample, with only keep (N,) bool in the scene.
+    def trace_paths(
+        self, keep: np.ndarray, first_sample: int, only: NDArray[np.uint8], progress: Progress = silent
+    ) -> tuple[F32, F32]:
+        """Again the paths that only, (H, W, S) uint8, marks of a trace that began at first_sample, with only keep (N,)
+        bool in the scene.
 
         Returns their part of the mean picture, (H, W, 4) float32, and the light of each, (H, W, S, 3) float32.
         """
         tlas = self.build(keep)
         with self.timer.step("trace_s"):
             log = PathLog(np.zeros((0, RECORD), np.int32), np.zeros((*only.shape, 3), np.float32))
-            picture = self._trace(self.with_only_emitters(keep), tlas, only.shape[2], first_sample, None, progress, self.size, log, only)
+            picture = self._trace(
+                self.with_only_emitters(keep), tlas, only.shape[2], first_sample, None, progress, self.size, log, only
+            )
         return picture.mean, log.color
 
-    def trace_without(self, full: Tlas, first_sample: int, keep: np.ndarray, tlas: Tlas, only: NDArray[np.uint8], log: PathLog) -> None:
-        """Into log what those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with only keep (N,) bool in the scene, which
-        tlas holds, by the numbers of the entries of full.
+    def trace_without(
+        self, full: Tlas, first_sample: int, keep: np.ndarray, tlas: Tlas, only: NDArray[np.uint8], log: PathLog
+    ) -> None:
+        """Into log what those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with
+        only keep (N,) bool in the scene, which tlas holds, by the numbers of the entries of full.
 
         The other paths of the log stay as they are.
         """
         with self.timer.step("trace_s"):
             log.clear(only)
             feedback = Feedback.zeros(len(self.scene.instances))  # without which paths are not recorded
-            self._trace(self.with_only_emitters(keep), tlas, only.shape[2], first_sample, feedback, silent, self.size, log, only)
+            self._trace(
+                self.with_only_emitters(keep), tlas, only.shape[2], first_sample, feedback, silent, self.size, log, only
+            )
             renumber(log.records.reshape(-1, RECORD), only.reshape(-1), places(full.ids, tlas.ids))
 
     def with_only_emitters(self, keep: np.ndarray) -> Prepared:
-        """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not built, so that they are noticed."""
+        """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not
+        built, so that they are noticed."""
         emissive, flags = self.prepared.emissive, self.scene.instances.flags
         if keep[emissive].all():
             return self.prepared
@@ -195,6 +216,7 @@ class FrameTracer:
 
 
 def places(ids: I32, some: I32) -> np.ndarray:
-    """The place in ids (A,) of each of some (B,) of them, and behind these A, the number that stands for what is not built."""
+    """The place in ids (A,) of each of some (B,) of them, and behind these A, the number that stands for what is not
+    built."""
     order = np.argsort(ids)
     return np.append(order[np.searchsorted(ids[order], some)], len(ids))

@@ -1,8 +1,8 @@
 """The method's loop: build TLAS, trace rays, process hit feedback, until the states settle.
 
-A cold start: everything is culled and grouped, nothing is built but boxes. Light paths ask for geometry through the nearest boxes that they cross: a region
-asked for often is split, an instance asked for often is activated and built. When no path asks for more, the active set is measured by real hits, and what
-few paths meet is culled again.
+A cold start: everything is culled and grouped, nothing is built but boxes. Light paths ask for geometry through the
+nearest boxes that they cross: a region asked for often is split, an instance asked for often is activated and built.
+When no path asks for more, the active set is measured by real hits, and what few paths meet is culled again.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..accel.blas import BlasCache, Work
 from ..accel.embree import Device, shared_device
@@ -20,32 +19,31 @@ from ..accel.region_tree import Cut
 from ..accel.residency import Residency
 from ..accel.tlas import Tlas
 from ..arrays import F32, I64
-from ..error_budget.budget import Budget
 from ..feedback.hits import Weights
-from ..feedback.path_log import RECORD, PathLog, renumber
-from ..feedback.tiles import TILES, marks, tiles_of
+from ..feedback.path_log import PathLog
+from ..feedback.tiles import TILES, marks
 from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
 from ..scene.model import Scene
 from .activation import SETTLED, Activation
 from .division import Division
-from .frame_tracer import FrameTracer, places
-from .measurement import Measurement, Traced, Witness
+from .frame_tracer import FrameTracer
+from .measurement import Measurement, Traced
 from .options import CullOptions
 from .result import Built, CullingResult, states, structure_figures
 from .twins import Twins
 
 UNKNOWN = 0.2  # segments per path that ask for a box where coarse rounds are worth while
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
-OPENINGS = 16  # of a witness at most, each a level or two deeper
 
 
 class Loop:
-    """The loop over a scene, and on to its next frames: build, trace, and what feedback does to the activation of instances.
+    """The loop over a scene, and on to its next frames: build, trace, and what feedback does to the activation of
+    instances.
 
-    scene: the frame. tracer: traces sets of its instances. activation: which instances are active. blas: what is built. rounds: of this frame so far.
-    measured: the last measurement of this frame.
+    scene: the frame. tracer: traces sets of its instances. activation: which instances are active. blas: what is built.
+    rounds: of this frame so far. measured: the last measurement of this frame.
     samples: paths per pixel of a measurement and the certificate together, first_samples: of a first measurement.
     """
 
@@ -58,12 +56,14 @@ class Loop:
         pinned: np.ndarray | None = None,
         blas: BlasCache | None = None,
     ) -> None:
-        """cancelled: polled during long work; where it says True, `Cancelled` is raised. device: Embree's, shared by default. pinned: as in `analyze`.
-        blas: of the scene's meshes, what is built already."""
+        """cancelled: polled during long work; where it says True, `Cancelled` is raised. device: Embree's, shared by
+        default. pinned: as in `analyze`. blas: of the scene's meshes, what is built already."""
         self.options = options
         self.device = device or shared_device(options.threads)
         self.blas = BlasCache(scene.meshes, self.device) if blas is None else blas
-        self.residency = Residency(self.blas, options.blas_budget_ms / 1000, options.blas_budget_bytes, options.hysteresis)
+        self.residency = Residency(
+            self.blas, options.blas_budget_ms / 1000, options.blas_budget_bytes, options.hysteresis
+        )
         self.cold = True  # nothing is known yet of what paths need
         self.division = Division.of(scene, options, self.limited)
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
@@ -73,7 +73,13 @@ class Loop:
         with self.timer.step("build_s"):
             self.activation = Activation(scene, pinned)
 
-    def advance(self, scene: Scene, change: Change, cancelled: Callable[[], bool] | None = None, pinned: np.ndarray | None = None) -> None:
+    def advance(
+        self,
+        scene: Scene,
+        change: Change,
+        cancelled: Callable[[], bool] | None = None,
+        pinned: np.ndarray | None = None,
+    ) -> None:
         """Go on to the next frame: what was active and kept is so again; only what has changed is looked at."""
         self.blas.work = Work()
         self.blas.advance(scene.meshes, change.deformed, change.replaced)
@@ -97,7 +103,8 @@ class Loop:
         return self.residency.limited
 
     def run(self, progress: Progress = silent) -> Measurement:
-        """Rounds until no box is asked for any more, then a measurement. Where much is unknown coarse rounds, of few paths, come first."""
+        """Rounds until no box is asked for any more, then a measurement. Where much is unknown coarse rounds, of few
+        paths, come first."""
         if self.options.mitigation:
             with self.timer.step("build_s"):
                 self.activation.activate_newly_visible(self.scene, self.cold)
@@ -108,10 +115,11 @@ class Loop:
         while self.rounds < self.options.max_iterations:
             self.rounds += 1
             self._divide()
-            progress(1 - 0.7**self.rounds, f"round {self.rounds}: {int(self.activation.active.sum()):,} of {len(self.activation):,} instances active")
+            active = f"{int(self.activation.active.sum()):,} of {len(self.activation):,} instances active"
+            progress(1 - 0.7**self.rounds, f"round {self.rounds}: {active}")
             self._schedule_builds(progress)
             tlas = self.tracer.build(self.activation.active)
-            cut, boxes = self._boxes(tlas)
+            cut, boxes = self.boxes(tlas)
             if coarse:
                 samples = max(1, round(ROUND_PATHS / (coarse_size[0] * coarse_size[1])))
                 feedback, picture = self.tracer.trace(tlas, samples, boxes, size=coarse_size)
@@ -140,14 +148,18 @@ class Loop:
                 self.tracer.divide(self.scene)
 
     def _schedule_builds(self, progress: Progress = silent) -> None:
-        """Within a budget: have the BLASes of active instances built, the most valuable first. A time budget is spent once per frame."""
+        """Within a budget: have the BLASes of active instances built, the most valuable first. A time budget is spent
+        once per frame."""
         if not self.limited or (self.residency.deferred and self.rounds > 1):
             return
         with self.timer.step("build_s"):
-            self.residency.schedule(self.scene.instances.mesh, self.activation.active, self.activation.value, self.tracer.step(progress))
+            self.residency.schedule(
+                self.scene.instances.mesh, self.activation.active, self.activation.value, self.tracer.step(progress)
+            )
 
-    def _boxes(self, tlas: Tlas) -> tuple[Cut, Hitboxes]:
-        """The cut through the region tree that holds all that is not in a TLAS over the active instances, and its hitboxes."""
+    def boxes(self, tlas: Tlas) -> tuple[Cut, Hitboxes]:
+        """The cut through the region tree that holds all that is not in a TLAS over the active instances, and its
+        hitboxes."""
         with self.timer.step("build_s"):
             active = self.activation.active
             waiting = self.residency.waiting(self.scene.instances.mesh, active) if self.limited else None
@@ -155,7 +167,8 @@ class Loop:
             return cut, Hitboxes(cut.bounds, self.device)
 
     def measure(self, tlas: Tlas | None = None, samples: int = 0, progress: Progress = silent) -> Measurement:
-        """Hits and weights of the instances in tlas (default: the active ones). samples: paths per pixel (default: as many as a first measurement takes).
+        """Hits and weights of the instances in tlas (default: the active ones). samples: paths per pixel (default: as
+        many as a first measurement takes).
 
         Emitters that are not built give no light: it would come through walls that are not built either.
         """
@@ -164,7 +177,8 @@ class Loop:
             tlas = self.tracer.build(self.activation.active, progress)
         built = np.zeros(len(self.activation), bool)
         built[tlas.ids] = True
-        weights, log = Weights.zeros(len(tlas), self.ambient), PathLog.zeros(self.size[1], self.size[0], samples or self.first_samples)
+        weights = Weights.zeros(len(tlas), self.ambient)
+        log = PathLog.zeros(self.size[1], self.size[0], samples or self.first_samples)
         prepared = self.tracer.with_only_emitters(built)
         feedback, _ = self.tracer.count(prepared, tlas, log.shape[2], 0, weights=weights, progress=progress, log=log)
         traced = Traced(log, 0, np.full(TILES, log.shape[2]))
@@ -178,51 +192,30 @@ class Loop:
         built = np.zeros(len(self.activation), bool)
         built[measured.tlas.ids] = True
         prepared = self.tracer.with_only_emitters(built)
-        feedback, _ = self.tracer.count(prepared, measured.tlas, only.shape[2], first, None, measured.weights, progress, log=log, only=only)
+        feedback, _ = self.tracer.count(
+            prepared, measured.tlas, only.shape[2], first, None, measured.weights, progress, log=log, only=only
+        )
         met = np.flatnonzero(measured.feedback.hits.any(axis=1))
         feedback.hits[met] += measured.feedback.hits[met]
         feedback.paths += measured.feedback.paths
-        self.measured = dataclasses.replace(measured, feedback=feedback, traced=(*measured.traced, Traced(log, first, samples)))
+        self.measured = dataclasses.replace(
+            measured, feedback=feedback, traced=(*measured.traced, Traced(log, first, samples))
+        )
         return self.measured
 
-    def witness(self, first_sample: int, only: NDArray[np.uint8], tolerated: Budget, progress: Progress = silent) -> Witness:
-        """Trace those of S paths per pixel that only, (H, W, S), marks through the full scene, by random numbers that chose nothing.
-
-        Boxes that paths cross are opened, and these paths traced again, until what is carried through the others is tolerated; none is where builds are
-        limited.
-        """
-        log, prepared = PathLog.zeros(*only.shape), self.tracer.prepared
-        tile = tiles_of(*only.shape[:2]).ravel()
-        samples = np.maximum(np.bincount(tile, only.sum(axis=2).ravel(), TILES) / np.maximum(np.bincount(tile, minlength=TILES), 1), 1.0)
-        records = log.records.reshape(-1, RECORD)
-        before: Tlas | None = None
-        light: I64 = np.zeros(0, np.int64)
-        for k in range(OPENINGS):
-            progress(1 - 0.6**k, "paths that chose nothing")
-            tlas = self.tracer.build(self.activation.active)
-            if before is not None:
-                renumber(records, 1 - only.reshape(-1), places(tlas.ids, before.ids))
-            cut, boxes = self._boxes(tlas)
-            log.clear(only)
-            weights = Weights.zeros(1, self.ambient, first=len(tlas))
-            feedback, _ = self.tracer.count(prepared, tlas, only.shape[2], first_sample, boxes, weights, log=log, only=only)
-            light = light if k else weights.total
-            unknown = dataclasses.replace(weights, total=light).relative(samples)[0]  # of tiles without paths 0
-            within = unknown.mean() <= tolerated.mean and unknown.max() <= tolerated.worst
-            if within or self.limited or not self.activation.open_crossed_boxes(cut, feedback, prepared.emissive):
-                break
-            only, before = log.affected(np.zeros(len(tlas), bool)), tlas
-        return Witness(tlas, log, first_sample, np.asarray(light * weights.unit, np.float64), np.asarray(weights.light[0] * weights.unit, np.float64))
-
     def include(self, instances: np.ndarray) -> None:
-        """Have a set of instances, (N,) bool, in the TLAS until the frame is decided, as far as no budget of BLASes forbids."""
+        """Have a set of instances, (N,) bool, in the TLAS until the frame is decided, as far as no budget of BLASes
+        forbids."""
         self.activation.activate_for_witness(instances)
         self._schedule_builds()
 
-    def result(self, keep: np.ndarray, score: F32, hits: I64, warnings: tuple[str, ...] = (), **figures: float | int) -> CullingResult:
+    def result(
+        self, keep: np.ndarray, score: F32, hits: I64, warnings: tuple[str, ...] = (), **figures: float | int
+    ) -> CullingResult:
         """States for keep (N,) bool, with the final structures built and counted; figures go into the stats.
 
-        What the next frame need not have by the last measurement is freed; all that is active stays where there was none.
+        What the next frame need not have by the last measurement is freed; all that is active stays where there was
+        none.
         """
         keep = self._twins.joined(self.scene.instances.bounds, keep | self.activation.pinned)
         self.activation.kept = keep
@@ -237,9 +230,11 @@ class Loop:
             cut = self.activation.regions.cut(np.flatnonzero(keep))
             boxes = Hitboxes(cut.bounds, self.device)
             state = states(keep, self.residency, self.scene.instances.mesh, self.activation.active)
-        stats = structure_figures(state, self.scene.instances.mesh[tlas.ids], self.blas, tlas.bytes + boxes.bytes) | self.timer.seconds
-        stats |= {"paths": self.tracer.paths, "rays": self.tracer.rays, "iterations": self.rounds, "hitboxes": len(boxes), **figures}
-        result = CullingResult(state, score, hits, cut.bounds, stats, warnings, built=Built(self.blas, tlas, self.tracer.prepared))
+        stats = structure_figures(state, self.scene.instances.mesh[tlas.ids], self.blas, tlas.bytes + boxes.bytes)
+        stats |= self.timer.seconds | {"paths": self.tracer.paths, "rays": self.tracer.rays}
+        stats |= {"iterations": self.rounds, "hitboxes": len(boxes), **figures}
+        built = Built(self.blas, tlas, self.tracer.prepared)
+        result = CullingResult(state, score, hits, cut.bounds, stats, warnings, built=built)
         return self.division.joined(result) if self.division else result
 
 

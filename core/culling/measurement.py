@@ -23,7 +23,8 @@ class Traced:
 
 @dataclass(frozen=True)
 class Measurement:
-    """Feedback of a trace of candidates, and what its paths met: those that are everywhere, then more in some tiles. emissive: (E,) emitters, built or not."""
+    """Feedback of a trace of candidates, and what its paths met: those that are everywhere, then more in some tiles.
+    emissive: (E,) emitters, built or not."""
 
     tlas: Tlas
     feedback: Feedback
@@ -63,18 +64,3 @@ class Measurement:
         for rows in (self.tlas.ids, self.emissive):
             out[rows] = hits[rows].sum(axis=1)
         return out
-
-
-@dataclass(frozen=True)
-class Witness:
-    """Paths that chose nothing, through the full scene as far as they need it: what each met, and the number of its first sample.
-
-    light: (T,) float64 luminance of all paths of each tile. unknown: (T,) float64, that of what they carry through boxes that were not opened: it may be
-    lost, or other light in its place.
-    """
-
-    tlas: Tlas
-    log: PathLog
-    first_sample: int
-    light: F64
-    unknown: F64

@@ -13,7 +13,8 @@ from ..feedback.tiles import TILES
 from ..scene.model import Film, Scene
 from .policies import LIGHT_PATHS, POLICIES
 
-# Something that a coarse tile's paths do not meet may be worth some of them, each as bright as what stands behind it: so many paths, over the tile's bound.
+# Something that a coarse tile's paths do not meet may be worth some of them, each as bright as what stands behind it:
+# so many paths, over the tile's bound.
 TILE_PATHS = 120
 COUNTED_PATHS = 4  # per pixel, by counts
 MOST_PATHS = 64  # per pixel
@@ -34,18 +35,21 @@ DEFAULT_BUDGET = Budget(0.01, 0.05)
 class CullOptions:
     """How to cull. Defaults suit a first scene.
 
-    policy: one of `policies.POLICIES`. setting: the number that it goes by, such as metres or degrees; None: its default.
-    max_error: `light-paths`: how much the picture may change. min_share: `light-paths` by plain counts instead: an instance stays if at least this share of the
-    paths meets it. paths: per pixel, for the measurement of both; 0: as many as the bounds need.
+    policy: one of `policies.POLICIES`. setting: the number that it goes by, such as metres or degrees; None: its
+    default.
+    max_error: `light-paths`: how much the picture may change. min_share: `light-paths` by plain counts instead: an
+    instance stays if at least this share of the paths meets it. paths: per pixel, for the measurement of both; 0: as
+    many as the bounds need.
     width: of the analysis picture in pixels (its height follows the film).
-    hitbox_every: on one path in so many. settled: segments per path that may still ask for a box when the rounds of a frame end, 0: none;
-    max_iterations: rounds of a frame at most.
+    hitbox_every: on one path in so many. settled: segments per path that may still ask for a box when the rounds of a
+    frame end, 0: none; max_iterations: rounds of a frame at most.
 
     parts: large meshes are culled by parts, where an instance's flags let them.
 
-    Over the frames of a shot: hysteresis: how many times less than what is newly kept an instance must be worth to be culled again, 1 for none; mitigation:
-    large instances that come into view are active at once. blas_budget_ms: milliseconds of BLAS building per frame, the rest is done in later frames;
-    blas_budget_bytes: of all BLASes together; 0: no limit, as a final render wants it.
+    Over the frames of a shot: hysteresis: how many times less than what is newly kept an instance must be worth to be
+    culled again, 1 for none; mitigation: large instances that come into view are active at once. blas_budget_ms:
+    milliseconds of BLAS building per frame, the rest is done in later frames; blas_budget_bytes: of all BLASes
+    together; 0: no limit, as a final render wants it.
     """
 
     policy: str = LIGHT_PATHS
@@ -81,10 +85,13 @@ class CullOptions:
         if self.paths:
             return max(self.paths, 2)
         width, height = self.picture_size(film)
-        return int(np.clip(np.ceil(TILE_PATHS * TILES / (max(self.max_error.worst, 1e-3) * width * height)), 2, MOST_PATHS))
+        return int(
+            np.clip(np.ceil(TILE_PATHS * TILES / (max(self.max_error.worst, 1e-3) * width * height)), 2, MOST_PATHS)
+        )
 
     def first_paths_per_pixel(self, film: Film) -> int:
-        """Paths per pixel of a first measurement: half of all, for the others judge what is chosen by these; by counts all."""
+        """Paths per pixel of a first measurement: half of all, for the others judge what is chosen by these; by counts
+        all."""
         samples = self.paths_per_pixel(film)
         return samples if self.by_counts else -(-samples // 2)
 
@@ -99,7 +106,10 @@ class CullOptions:
 
     def __post_init__(self) -> None:
         if self.policy not in POLICIES:
-            raise InputError(f"unknown culling policy '{self.policy}': choose one of {', '.join(name for name, p in POLICIES.items() if p.listed)}")
+            raise InputError(
+                f"unknown culling policy '{self.policy}': choose one of "
+                f"{', '.join(name for name, p in POLICIES.items() if p.listed)}"
+            )
 
     def rule(self, scene: Scene) -> np.ndarray:
         """Instances that the policy keeps, one that needs no light paths: (N,) bool."""
@@ -107,5 +117,3 @@ class CullOptions:
         assert policy.keep is not None
         default = policy.setting.default if policy.setting else 0.0
         return policy.keep(scene, default if self.setting is None else self.setting)
-
-

@@ -33,8 +33,9 @@ class Built:
 class CullingResult:
     """What a frame's culling decided.
 
-    state: (N,) uint8 of `State`; score: (N,) float32 share of paths that met the instance; hits: (N, RAY_TYPES) int64 paths that met it, by type.
-    boxes: (H, 2, 3) float32 world boxes that stand in for what is culled. faces: by row of an active instance whose mesh was divided, (F,)
+    state: (N,) uint8 of `State`; score: (N,) float32 share of paths that met the instance; hits: (N, RAY_TYPES) int64
+    paths that met it, by type. boxes: (H, 2, 3) float32 world boxes that stand in for what is culled. faces: by row of
+    an active instance whose mesh was divided, (F,)
     bool, those of its faces that stay. stats: the frame's figures, named as in report.json.
     warnings: what could not be kept to. built: for a renderer of this frame; None where nothing was.
     """
@@ -55,7 +56,8 @@ class CullingResult:
 
 
 def states(keep: np.ndarray, residency: Residency, mesh: I32, active: np.ndarray) -> U8:
-    """(N,) `State` of each instance where keep, (N,) bool, stay as far as they have a BLAS. mesh: (N,) of each; active: (N,) bool, those that want one."""
+    """(N,) `State` of each instance where keep, (N,) bool, stay as far as they have a BLAS. mesh: (N,) of each; active:
+    (N,) bool, those that want one."""
     state = np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED))
     if residency.limited:
         waiting = residency.waiting(mesh, active)
@@ -65,7 +67,8 @@ def states(keep: np.ndarray, residency: Residency, mesh: I32, active: np.ndarray
 
 
 def structure_figures(state: U8, mesh: I32, blas: BlasCache, tlas_bytes: int) -> dict[str, float | int]:
-    """Figures of a frame's states and structures, by their names in report.json. state: (N,); mesh: of each built instance."""
+    """Figures of a frame's states and structures, by their names in report.json. state: (N,); mesh: of each built
+    instance."""
     counts, meshes = np.bincount(state, minlength=len(State)), np.unique(mesh)
     return {
         "instances": len(state),

@@ -20,15 +20,18 @@ from .result import CullingResult
 class Shot:
     """Culling over the frames of a shot, one `advance` per frame.
 
-    Each frame starts with what the frame before it needed. Light paths ask for what is missing, and rounds are repeated until no more is asked for (at most
-    `CullOptions.max_iterations` of them: with 1, what a frame asks for takes effect in the next). So a frame's states are those of a fresh start of that
-    frame, up to hysteresis: an instance that was kept stays until it is worth clearly less than what is kept for the first time (`analysis`).
+    Each frame starts with what the frame before it needed. Light paths ask for what is missing, and rounds are repeated
+    until no more is asked for (at most `CullOptions.max_iterations` of them: with 1, what a frame asks for takes effect
+    in the next). So a frame's states are those of a fresh start of that frame, up to hysteresis: an instance that was
+    kept stays until it is worth clearly less than what is kept for the first time (`analysis`).
 
-    Frames need not be consecutive; without a `Change` (the first frame, another file, a jump) a frame is a fresh start. What is not in the scene any more, and
-    what paths do not ask for, is freed; geometry is read from `Scene.meshes` only where it is needed, on the calling thread.
+    Frames need not be consecutive; without a `Change` (the first frame, another file, a jump) a frame is a fresh start.
+    What is not in the scene any more, and what paths do not ask for, is freed; geometry is read from `Scene.meshes`
+    only where it is needed, on the calling thread.
 
-    Independent frames: each decides as a fresh start of it, bit for bit, whatever frames came before, so that a range can be split, repeated and completed.
-    What was built for the frame before and did not change is not built again; but what deformed is built anew, for refit and rebuild give different trees.
+    Independent frames: each decides as a fresh start of it, bit for bit, whatever frames came before, so that a range
+    can be split, repeated and completed. What was built for the frame before and did not change is not built again; but
+    what deformed is built anew, for refit and rebuild give different trees.
 
     loop: the loop of the last frame, None before the first.
     """
@@ -50,11 +53,13 @@ class Shot:
     ) -> CullingResult:
         """Decide which instances of the next frame stay.
 
-        scene: the frame; where an array did not change it may be the same object as in the last frame, and where geometry did not, the same meshes by index.
-        change: how scene differs from the scene of the last call; None for a fresh start. pinned: (N,) bool, instances that stay whatever paths meet.
-        The result's stats hold the frame's own figures: seconds, builds, rays of this call alone.
+        scene: the frame; where an array did not change it may be the same object as in the last frame, and where
+        geometry did not, the same meshes by index. change: how scene differs from the scene of the last call; None for
+        a fresh start. pinned: (N,) bool, instances that stay whatever paths meet. The result's stats hold the frame's
+        own figures: seconds, builds, rays of this call alone.
 
-        Raises Cancelled where cancelled() says so (the next call then needs no Change: it starts afresh), MemoryError where Embree runs out.
+        Raises Cancelled where cancelled() says so (the next call then needs no Change: it starts afresh), MemoryError
+        where Embree runs out.
         """
         loop, self.loop = self.loop, None
         if loop is None or change is None:
@@ -73,13 +78,17 @@ class Shot:
         return result
 
     def _judges(self, scene: Scene) -> bool:
-        """Whether a picture without any instance is no picture: things of the brightness of what is behind them, by materials that are known approximately, go
-        unseen for nothing. Where a raster shows what is culled, or memory is limited, there may be nothing to trace."""
+        """Whether a picture without any instance is no picture: things of the brightness of what is behind them, by
+        materials that are known approximately, go unseen for nothing. Where a raster shows what is culled, or memory is
+        limited, there may be nothing to trace."""
         limited = self.options.blas_budget_bytes or self.options.blas_budget_ms
-        return self.options.policy == "light-paths" and not self.options.by_counts and not scene.first_hits and not limited
+        return (
+            self.options.policy == "light-paths" and not self.options.by_counts and not scene.first_hits and not limited
+        )
 
     def _carried(self, blas: BlasCache, scene: Scene, change: Change) -> BlasCache:
-        """What is built and did not change, for a frame that is to decide by itself. Within a budget nothing: what fits depends on what was built before."""
+        """What is built and did not change, for a frame that is to decide by itself. Within a budget nothing: what fits
+        depends on what was built before."""
         if self.options.blas_budget_bytes or self.options.blas_budget_ms:
             return BlasCache(scene.meshes, blas.device)
         blas.work = Work()

@@ -1,7 +1,7 @@
 """Instances that lie exactly where another one does: an object that was duplicated and never moved.
 
-A renderer shows neither of two coincident surfaces properly: each shadows the other. Where one goes, the other is lit. So they stay or go together, although
-light paths meet but one of them.
+A renderer shows neither of two coincident surfaces properly: each shadows the other. Where one goes, the other is lit.
+So they stay or go together, although light paths meet but one of them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ _MIX = np.uint64(0x9E3779B97F4A7C15)  # SplitMix64's
 
 
 class Twins:
-    """The groups of instances with the same box, found again where the boxes have changed. A million boxes take a fifth of a second, the same boxes nothing."""
+    """The groups of instances with the same box, found again where the boxes have changed. A million boxes take a fifth
+    of a second, the same boxes nothing."""
 
     def __init__(self) -> None:
         self._boxes: F32 | None = None
@@ -23,7 +24,8 @@ class Twins:
         self._group = np.zeros(0, np.intp)
 
     def joined(self, boxes: F32, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """keep, (N,) bool, with all that lie exactly where one of them does. boxes: (N, 2, 3) float32, of the instances."""
+        """keep, (N,) bool, with all that lie exactly where one of them does. boxes: (N, 2, 3) float32, of the
+        instances."""
         if boxes is not self._boxes:
             self._boxes = boxes
             _, group, count = np.unique(_codes(boxes), return_inverse=True, return_counts=True)

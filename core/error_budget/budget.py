@@ -1,7 +1,9 @@
-"""An error budget instead of a threshold: cull the set that saves most while the picture changes by no more than was allowed.
+"""An error budget instead of a threshold: cull the set that saves most while the picture changes by no more than was
+allowed.
 
-Feedback says what each instance is worth in each coarse tile of the picture (`feedback.Weights`). Selection culls what is cheap under both bounds; calibration
-traces what is left with the same random numbers, measures what really changed, and selects again until the bounds hold.
+Feedback says what each instance is worth in each coarse tile of the picture (`feedback.Weights`). Selection culls what
+is cheap under both bounds; calibration traces what is left with the same random numbers, measures what really changed,
+and selects again until the bounds hold.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ class Budget:
         except ValueError:
             numbers = []
         if not 1 <= len(numbers) <= 2 or not all(0 <= x <= 1 for x in numbers):
-            raise InputError(f"--max-error {text}: give E or E,T, each a share between 0 and 1, for example 0.01 or 0.01,0.05")
+            raise InputError(
+                f"--max-error {text}: give E or E,T, each a share between 0 and 1, for example 0.01 or 0.01,0.05"
+            )
         return Budget(numbers[0], numbers[1] if len(numbers) == 2 else min(spread * numbers[0], 1.0))
 
 
@@ -48,7 +52,8 @@ class Selection:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _greedy(order, weights, mean_bound, tile_bounds):
-    """Cull in order while the mean of the tiles' sums and every tile's sum stay within bounds. order: (A,) int64; weights: (A, T) and
+    """Cull in order while the mean of the tiles' sums and every tile's sum stay within bounds. order: (A,) int64;
+    weights: (A, T) and
     tile_bounds: (T,) float64."""
     count, tiles = weights.shape
     cull = np.zeros(count, np.bool_)
@@ -75,8 +80,8 @@ def _greedy(order, weights, mean_bound, tile_bounds):
 class Savings:
     """What culling of A TLAS entries saves.
 
-    mesh: (A,) int32; bytes_of: (M,) int64, of each BLAS; share: (A,) float64 bytes that an entry saves, its share of the BLAS that it has in common with others
-    of the A included, less by a factor of reluctance: (A,) float64.
+    mesh: (A,) int32; bytes_of: (M,) int64, of each BLAS; share: (A,) float64 bytes that an entry saves, its share of
+    the BLAS that it has in common with others of the A included, less by a factor of reluctance: (A,) float64.
     """
 
     mesh: I32
@@ -99,10 +104,12 @@ class Savings:
 def select(weights: F64, saved: F64, mean_bound: float, tile_bounds: F64 | float) -> Selection:
     """The instances to cull: cheapest change per saved byte first, while both bounds hold.
 
-    weights: (A, T) relative change of each tile where instance a is missing; saved: (A,) bytes; tile_bounds: one for all tiles, or (T,).
+    weights: (A, T) relative change of each tile where instance a is missing; saved: (A,) bytes; tile_bounds: one for
+    all tiles, or (T,).
     Greedy for a knapsack of two kinds of bound (Dantzig 1957 for one): within one instance's worth of the best.
     """
     order = np.argsort(weights.sum(axis=1) / saved, kind="stable")
-    bounds = np.array(np.broadcast_to(tile_bounds, weights.shape[1]), np.float64)  # a writable one: the kernel has one variant
+    # a writable one: the kernel has one variant
+    bounds = np.array(np.broadcast_to(tile_bounds, weights.shape[1]), np.float64)
     cull, sums = _greedy(order, weights, max(mean_bound, 0.0), bounds)
     return Selection(cull, float(sums.mean()), float(sums.max(initial=0.0)))

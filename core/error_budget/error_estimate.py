@@ -1,11 +1,14 @@
-"""How much a picture changes by culling, estimated from pairs of paths with the same random numbers, and how sure that is.
+"""How much a picture changes by culling, estimated from pairs of paths with the same random numbers, and how sure that
+is.
 
-The error of a coarse tile is the larger of two relative changes: that of its mean luminance, and the mean absolute change of colour over its blocks of BLOCK x
-BLOCK pixels of the analysis picture. The second sees what the first does not: red for green of equal luminance, a pattern for its mean.
+The error of a coarse tile is the larger of two relative changes: that of its mean luminance, and the mean absolute
+change of colour over its blocks of BLOCK x BLOCK pixels of the analysis picture. The second sees what the first does
+not: red for green of equal luminance, a pattern for its mean.
 
-Absolute values of noisy figures are too large, above all of many small blocks. So there signs, and directions of colour, are taken from one half of the paths
-and applied to the other half, whose noise is independent (cross-fitting); that shrinks what is below the noise, which the deviation covers for one tile. For
-the mean of all tiles, where it would add up, squares are estimated by products of the two halves.
+Absolute values of noisy figures are too large, above all of many small blocks. So there signs, and directions of
+colour, are taken from one half of the paths and applied to the other half, whose noise is independent (cross-fitting);
+that shrinks what is below the noise, which the deviation covers for one tile. For the mean of all tiles, where it would
+add up, squares are estimated by products of the two halves.
 """
 
 from __future__ import annotations
@@ -36,9 +39,9 @@ _TINY = 1e-30
 class ErrorEstimate:
     """Relative change of the coarse tiles of a picture.
 
-    error: (T,) float64, estimate of each tile's, for the worst of them. average: (T,) the same for the mean of them: what noise may have shrunk in one tile
-    must not add up over all. deviation: (T,) float64 standard deviation of the tiles' light. owed: (T,) float64 change that is charged on top without having
-    been measured.
+    error: (T,) float64, estimate of each tile's, for the worst of them. average: (T,) the same for the mean of them:
+    what noise may have shrunk in one tile must not add up over all. deviation: (T,) float64 standard deviation of the
+    tiles' light. owed: (T,) float64 change that is charged on top without having been measured.
     """
 
     error: F64
@@ -76,7 +79,8 @@ class ErrorEstimate:
         return self.mean + _quantile(confidence) * self.mean_deviation
 
     def upper_worst(self, confidence: float = CONFIDENCE) -> float:
-        """What no tile exceeds, with this confidence for all of them together: tiles far below it cost nothing (normal errors, independent by tile)."""
+        """What no tile exceeds, with this confidence for all of them together: tiles far below it cost nothing (normal
+        errors, independent by tile)."""
         return float(_upper_worst(self.tiles, self.deviation, confidence))
 
     def holds(self, budget: Budget) -> bool:
@@ -88,14 +92,15 @@ class ErrorEstimate:
         return self.excess(budget, confidence) <= 1
 
     def excess(self, budget: Budget, confidence: float = CONFIDENCE) -> float:
-        """The upper ends over what the budget allows, of the bound that is nearer to being broken: above 1 it may be broken."""
+        """The upper ends over what the budget allows, of the bound that is nearer to being broken: above 1 it may be
+        broken."""
         each = 0.5 * (1 + confidence)
         changes = ((self.upper_mean(each), budget.mean), (self.upper_worst(each), budget.worst))
         return max(change / max(bound, _TINY) if change else 0.0 for change, bound in changes)
 
     def doubtful(self, budget: Budget, confidence: float = CONFIDENCE) -> NDArray[np.bool_]:
-        """(T,) tiles whose deviation stands between the estimate and a bound: those that may well exceed the worst tile's, or, for the mean, the least
-        certain.
+        """(T,) tiles whose deviation stands between the estimate and a bound: those that may well exceed the worst
+        tile's, or, for the mean, the least certain.
         """
         tiles = (self.deviation > 0) & (self.tiles + NEAR * self.deviation > budget.worst)
         if self.upper_mean(0.5 * (1 + confidence)) > budget.mean:
@@ -103,8 +108,8 @@ class ErrorEstimate:
         return np.asarray(tiles)
 
     def exceeded(self, budget: Budget, confidence: float = CONFIDENCE) -> NDArray[np.bool_]:
-        """(T,) tiles that may change by more than a set is allowed to: the worst of them, until the others surely hold. None, where the mean may be
-        exceeded.
+        """(T,) tiles that may change by more than a set is allowed to: the worst of them, until the others surely hold.
+        None, where the mean may be exceeded.
         """
         each = 0.5 * (1 + confidence)
         out = np.zeros(len(self.error), bool)
@@ -118,8 +123,8 @@ class ErrorEstimate:
         return out
 
     def may_hold(self, budget: Budget, confidence: float, factor: F64) -> bool:
-        """Whether so many times the paths of each tile, (T,), in doubtful ones might show that both bounds hold: were tiles better than estimated by one
-        deviation."""
+        """Whether so many times the paths of each tile, (T,), in doubtful ones might show that both bounds hold: were
+        tiles better than estimated by one deviation."""
         tiles = self.doubtful(budget, confidence)
         less = np.where(tiles, self.deviation, 0.0)
         fewer = np.where(tiles, self.deviation / np.sqrt(factor), self.deviation)
@@ -136,7 +141,8 @@ def _quantile(confidence: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _upper_worst(tiles, deviation, confidence):
-    """The smallest x with a probability of at least confidence that x is above all of independent normal variables, by bisection."""
+    """The smallest x with a probability of at least confidence that x is above all of independent normal variables, by
+    bisection."""
     low, high = np.max(tiles), np.max(tiles + 40.0 * deviation)
     if high <= low:
         return max(low, 0.0)
@@ -158,8 +164,8 @@ def _upper_worst(tiles, deviation, confidence):
 
 @dataclass(frozen=True)
 class Difference:
-    """Sums of what paths differ by: colour by half of the samples and pixel, (2, P, 3) float64, linear; squares by tile, (2, T) float64, of luminance and of
-    colour.
+    """Sums of what paths differ by: colour by half of the samples and pixel, (2, P, 3) float64, linear; squares by
+    tile, (2, T) float64, of luminance and of colour.
     """
 
     pixels: F64
@@ -181,8 +187,8 @@ class Reference:
     """
 
     def __init__(self, log: PathLog, only: np.ndarray | None = None, light: F64 | None = None) -> None:
-        """only: (H, W, S), marks the paths that there are, where those are not all: of a tile all or none. light: (T,) luminance of all paths of each tile,
-        where the log leaves some of it out.
+        """only: (H, W, S), marks the paths that there are, where those are not all: of a tile all or none. light: (T,)
+        luminance of all paths of each tile, where the log leaves some of it out.
         """
         self.height, self.width, self.samples = log.shape
         marked = np.ones(log.shape, bool) if only is None else only.astype(bool)
@@ -190,10 +196,20 @@ class Reference:
         color[marked] = log.color[marked]
         self.color: F32 = color.reshape(-1, 3)
         self.tile: I32 = tiles_of(self.height, self.width).ravel().astype(np.int32)  # of each pixel
-        self._parity = (np.arange(self.height)[:, None] + np.arange(self.width)[None, :]).ravel() % 2  # so that there are two halves with one sample too
-        by_pixel = np.full(len(self.tile), self.samples) if only is None else only.reshape(len(self.tile), -1).astype(bool).sum(axis=1)
+        # so that there are two halves with one sample too
+        self._parity = (np.arange(self.height)[:, None] + np.arange(self.width)[None, :]).ravel() % 2
+        by_pixel = (
+            np.full(len(self.tile), self.samples)
+            if only is None
+            else only.reshape(len(self.tile), -1).astype(bool).sum(axis=1)
+        )
         self.paths: F64 = np.bincount(self.tile, by_pixel, TILES)
-        self._sums = np.stack([np.bincount(self.tile, self.color[:, c].reshape(-1, self.samples).sum(axis=1, dtype=np.float64), TILES) for c in range(3)])
+        self._sums = np.stack(
+            [
+                np.bincount(self.tile, self.color[:, c].reshape(-1, self.samples).sum(axis=1, dtype=np.float64), TILES)
+                for c in range(3)
+            ]
+        )
         self._light = light
 
     @property
@@ -204,30 +220,42 @@ class Reference:
     def compare(self, only: np.ndarray, color: F32, before: PathLog, already: Difference) -> Difference:
         """What paths differ by where some entries are culled, and others perhaps were already.
 
-        before, already: the log, and the difference, without those others; only: `PathLog.affected` of that log by those that are new; color: (H, W, S, 3)
-        float32 of the paths marked there, traced without any of them.
+        before, already: the log, and the difference, without those others; only: `PathLog.affected` of that log by
+        those that are new; color: (H, W, S, 3) float32 of the paths marked there, traced without any of them.
         """
         paths = numbers(only)
         then, now = ((x.reshape(-1, 3)[paths] - self.color[paths]).astype(np.float64) for x in (before.color, color))
         pixel = paths // self.samples
         place = (self._parity[pixel] + paths % self.samples) % 2 * len(self.tile) + pixel
         step = now - then
-        pixels = np.stack([np.bincount(place, step[:, c], 2 * len(self.tile)) for c in range(3)], axis=-1).reshape(already.pixels.shape)
+        pixels = np.stack([np.bincount(place, step[:, c], 2 * len(self.tile)) for c in range(3)], axis=-1).reshape(
+            already.pixels.shape
+        )
         squares = [(now @ LUMINANCE) ** 2 - (then @ LUMINANCE) ** 2, (now**2 - then**2).mean(axis=1)]
-        return already + Difference(pixels, np.stack([np.bincount(self.tile[pixel], square, TILES) for square in squares]))
+        return already + Difference(
+            pixels, np.stack([np.bincount(self.tile[pixel], square, TILES) for square in squares])
+        )
 
-    def changes_by_unit(self, unit: I32, culled: np.ndarray, only: np.ndarray, color: F32, before: PathLog, light: Light) -> tuple[F64, F64]:
-        """What each of the culled units, (U,) bool with C of them, changed alone, by the paths that met an entry of it before any other of them: sums, and of
-        squares, (C, T) float64, relative to a light. unit: (A,) of each TLAS entry. The rest as in `compare`.
+    def changes_by_unit(
+        self, unit: I32, culled: np.ndarray, only: np.ndarray, color: F32, before: PathLog, light: Light
+    ) -> tuple[F64, F64]:
+        """What each of the culled units, (U,) bool with C of them, changed alone, by the paths that met an entry of it
+        before any other of them: sums, and of squares, (C, T) float64, relative to a light. unit: (A,) of each TLAS
+        entry. The rest as in `compare`.
         """
         paths = numbers(only)
         tile = self.tile[paths // self.samples]
         number = np.where(culled, np.cumsum(culled) - 1, -1)
         change, squares = np.zeros((2, int(culled.sum()), TILES))
         step = (color.reshape(-1, 3)[paths] - before.color.reshape(-1, 3)[paths]).astype(np.float64)
-        luminance, colored = step @ LUMINANCE / light.luminance[tile], np.sqrt((step**2).mean(axis=1)) / light.brightness[tile]
+        luminance, colored = (
+            step @ LUMINANCE / light.luminance[tile],
+            np.sqrt((step**2).mean(axis=1)) / light.brightness[tile],
+        )
         size = np.where(np.abs(luminance) >= colored, luminance, colored)
-        attribute_to_first_hit(before.records.reshape(-1, RECORD), paths, np.append(number[unit], -1), tile, size, change, squares)
+        attribute_to_first_hit(
+            before.records.reshape(-1, RECORD), paths, np.append(number[unit], -1), tile, size, change, squares
+        )
         return change, squares
 
 
@@ -235,7 +263,8 @@ class Reference:
 class Light:
     """What changes of the tiles are relative to, of one reference or several that are looked at together.
 
-    paths: (T,) float64, how many lie in each tile. luminance, brightness: (T,) float64 sums over these: the latter the root of the mean square of the channels.
+    paths: (T,) float64, how many lie in each tile. luminance, brightness: (T,) float64 sums over these: the latter the
+    root of the mean square of the channels.
     """
 
     paths: F64
@@ -253,13 +282,16 @@ class Light:
         known = [r._light for r in references if r._light is not None]
         if known:
             luminance = brightness = np.sum(known, axis=0)
-        lit = [paths * np.maximum(x / paths, max(DARK * float((x / paths).mean()), _TINY)) for x in (luminance, brightness)]
+        lit = [
+            paths * np.maximum(x / paths, max(DARK * float((x / paths).mean()), _TINY)) for x in (luminance, brightness)
+        ]
         return Light(paths, lit[0], lit[1], references[0].height, references[0].width)
 
     def estimate(self, difference: Difference, owed: F64 | None = None) -> ErrorEstimate:
         """The error that paths show. owed: (T,) to be charged on top.
 
-        The deviation is that of a stratified sample, by pixel; an event that none of n paths showed is taken to be one as bright as the tile in n.
+        The deviation is that of a stratified sample, by pixel; an event that none of n paths showed is taken to be one
+        as bright as the tile in n.
         """
         owed = np.zeros(TILES) if owed is None else owed
         if not difference.pixels.any():
@@ -270,8 +302,11 @@ class Light:
         whole = np.stack([np.bincount(tile, color[:, :, c].sum(axis=0), TILES) for c in range(3)])
         error = np.maximum(np.abs(np.bincount(tile, luminance.sum(axis=0), TILES)), np.sqrt((whole**2).mean(axis=0)))
         sure, mean_square = self._detail(color)
-        strata = np.stack([np.bincount(tile, x, TILES) for x in (luminance.sum(axis=0) ** 2, (color.sum(axis=0) ** 2).mean(axis=1))])
-        samples = np.maximum(self.paths / np.maximum(np.bincount(tile, minlength=TILES), 1), 1.0)  # per pixel, in each tile
+        strata = np.stack(
+            [np.bincount(tile, x, TILES) for x in (luminance.sum(axis=0) ** 2, (color.sum(axis=0) ** 2).mean(axis=1))]
+        )
+        # per pixel, in each tile
+        samples = np.maximum(self.paths / np.maximum(np.bincount(tile, minlength=TILES), 1), 1.0)
         variance = difference.squares / np.stack([self.luminance, self.brightness]) ** 2
         several = samples > 1
         variance = np.where(several, (variance - strata / samples) * (samples / np.maximum(samples - 1, 1)), variance)
@@ -279,10 +314,12 @@ class Light:
         return ErrorEstimate(np.maximum(error, sure), np.maximum(error, mean_square), deviation, owed)
 
     def _detail(self, color: F64) -> tuple[F64, F64]:
-        """Mean absolute change of colour over the blocks of each tile: color is (2, P, 3), relative change by halves of the samples.
+        """Mean absolute change of colour over the blocks of each tile: color is (2, P, 3), relative change by halves of
+        the samples.
 
-        Twice (T,): by cross-fitting, which noise shrinks by no more than the deviations that are added to a tile; and one that noise does not shrink, the
-        smaller of two that are too large: the absolute values as they are, and the root of the mean square by products of the halves, free of noise.
+        Twice (T,): by cross-fitting, which noise shrinks by no more than the deviations that are added to a tile; and
+        one that noise does not shrink, the smaller of two that are too large: the absolute values as they are, and the
+        root of the mean square by products of the halves, free of noise.
         """
         block, tile = _blocks(self.height, self.width)
         sums = np.stack([[np.bincount(block, half[:, c], len(tile)) for c in range(3)] for half in color])  # (2, 3, B)

@@ -1,9 +1,12 @@
-"""Which of the measured units to cull: sets are tried, by tracing what they change with the same random numbers, until a budget is used up.
+"""Which of the measured units to cull: sets are tried, by tracing what they change with the same random numbers, until
+a budget is used up.
 
-Weights say what each unit is worth by itself, at most. What many are worth together, and what lies behind them, is known when the scene has been traced without
-them. Of all paths only those can differ that met something culled (`path_log`), so a trial costs a small part of the measurement.
+Weights say what each unit is worth by itself, at most. What many are worth together, and what lies behind them, is
+known when the scene has been traced without them. Of all paths only those can differ that met something culled
+(`path_log`), so a trial costs a small part of the measurement.
 
-A search finds a sequence of sets, each larger than the one before. How far down that sequence the budget holds is for other paths to say: `certificate`.
+A search finds a sequence of sets, each larger than the one before. How far down that sequence the budget holds is for
+other paths to say: `certificate`.
 """
 
 from __future__ import annotations
@@ -23,15 +26,23 @@ from .units import Units
 
 TRIALS = 64  # at most
 PATIENCE = 5  # trials in a row that break the budget, after which none is expected to keep it
-WIDER, WIDENINGS = 1.5, 20  # factor and number of steps by which bounds are widened, where what they allow has been tried
-DEVIATIONS = 2.0  # standard deviations of its measurement that are added to what a unit of a failed trial is worth, and to what a tile has used up
+# factor and number of steps by which bounds are widened, where what they allow has been tried
+WIDER, WIDENINGS = 1.5, 20
+# standard deviations of its measurement that are added to what a unit of a failed trial is worth, and to what a tile
+# has used up
+DEVIATIONS = 2.0
 LIKELY = 0.8  # confidence that sets of a search keep to the budget, by its own paths
-SHARE = 0.5  # of what is left of the budget: what a set may add to the one before, so that the sequence has small steps where the budget ends
+# of what is left of the budget: what a set may add to the one before, so that the sequence has small steps where the
+# budget ends
+SHARE = 0.5
 PIECES = 4  # that a step of a sequence is judged in, where it breaks the budget as a whole
-AIM = 0.95  # of the budget: what selections are to use up. The rest of it is always taken to be left, for what they are worth is but predicted
+# of the budget: what selections are to use up. The rest of it is always taken to be left, for what they are worth is
+# but predicted
+AIM = 0.95
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement
 DENSER = 4.0  # times the paths that may be traced in tiles where noise alone stands between a set and the budget
 UNMET = (0.1, 0.3)  # of the budget: what may be owed to units that no path met, at the first sets of a sequence
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -57,8 +68,9 @@ class Search:
     ) -> None:
         """trials: paths of the measurement.
 
-        before: (U,) bool, what was culled in the last frame: where that keeps to the budget no less is culled, and no more either where it uses up all but a
-        factor of hysteresis. paths: traced by all trials together at most, to those of the measurement. confidence: of each set by these paths.
+        before: (U,) bool, what was culled in the last frame: where that keeps to the budget no less is culled, and no
+        more either where it uses up all but a factor of hysteresis. paths: traced by all trials together at most, to
+        those of the measurement. confidence: of each set by these paths.
         """
         self.trials, self.units, self.savings, self.budget = trials, units, savings, budget
         self.worth: F64 = units.worth.copy()
@@ -70,8 +82,9 @@ class Search:
         self.doubted = np.zeros(TILES, bool)  # tiles that more paths might show to hold a set that was given up
 
     def run(self, progress: Progress = silent, doubts: int = TRIALS) -> list[Choice]:
-        """The sets found, each a part of the next. Beginning with what no path meets, more and more is culled: what is predicted to fit the rest of the
-        budget. Ends early where so many sets were given up that more paths might show to hold: `doubted`.
+        """The sets found, each a part of the next. Beginning with what no path meets, more and more is culled: what is
+        predicted to fit the rest of the budget. Ends early where so many sets were given up that more paths might show
+        to hold: `doubted`.
         """
         steps, again = self._first()
         share, failed = SHARE, 0
@@ -81,7 +94,11 @@ class Search:
         for k in range(TRIALS):
             best = steps[-1]
             progress(k / TRIALS, f"{self._staying(best):,} instances stay")
-            more = None if failed >= PATIENCE or self._doubts >= doubts or best.cull.all() else self._more(best, share, tried)
+            more = (
+                None
+                if failed >= PATIENCE or self._doubts >= doubts or best.cull.all()
+                else self._more(best, share, tried)
+            )
             if more is None:
                 break
             tried.add(more.tobytes())
@@ -99,7 +116,8 @@ class Search:
         return int(self.units.members[:n][~choice.cull[:n]].sum())
 
     def _first(self) -> tuple[list[Choice], bool]:
-        """Sets to begin with: what was culled in the last frame, where that keeps to the budget; else units that no path met, the cheapest first.
+        """Sets to begin with: what was culled in the last frame, where that keeps to the budget; else units that no
+        path met, the cheapest first.
 
         Whether it is the first of these.
         """
@@ -110,7 +128,8 @@ class Search:
                 return [choice], True
         n, steps = self.units.with_entries, [nothing]
         saved = self.units.saved(self.savings, ~nothing.cull)
-        free = np.isfinite(self.worth[:n]).all(axis=1) & (self.worth[:n].sum(axis=1) == 0)  # met, though carrying no light
+        # met, though carrying no light
+        free = np.isfinite(self.worth[:n]).all(axis=1) & (self.worth[:n].sum(axis=1) == 0)
         for share in UNMET:
             cull = nothing.cull.copy()
             cull[n:] = select(self.worth[n:], saved[n:], share * self.budget.mean, share * self.budget.worst).cull
@@ -121,7 +140,8 @@ class Search:
         return steps, False
 
     def _more(self, best: Choice, share: float, tried: set[bytes]) -> np.ndarray | None:
-        """A larger set to cull, (U,) bool, within a share of what one leaves of the budget; None where nothing is left to try."""
+        """A larger set to cull, (U,) bool, within a share of what one leaves of the budget; None where nothing is left
+        to try."""
         stay = ~best.cull
         saved = self.units.saved(self.savings, stay)[stay]
         estimate = best.estimate
@@ -139,8 +159,8 @@ class Search:
     def _try(self, cull: np.ndarray, already: Choice) -> Choice | None:
         """Trace without cull, (U,) bool; None where that breaks the budget, or would take more paths than are left.
 
-        already: a part of it, whose log there is: only paths that met what else is culled can differ from that. What breaks the budget is measured all the
-        same, and known better than it was predicted.
+        already: a part of it, whose log there is: only paths that met what else is culled can differ from that. What
+        breaks the budget is measured all the same, and known better than it was predicted.
         """
         new = cull & ~already.cull
         entries = self.units.entries(cull)
@@ -158,13 +178,19 @@ class Search:
             self._doubts += 1
             self.doubted |= choice.estimate.doubtful(self.budget, self.confidence)
         new[self.units.with_entries :] = False
-        change, squares = (np.sum(x, axis=0) for x in zip(*(trial.changes_by_unit(self.units.of_entry, new, self.light) for trial in self.trials), strict=True))
+        change, squares = (
+            np.sum(x, axis=0)
+            for x in zip(
+                *(trial.changes_by_unit(self.units.of_entry, new, self.light) for trial in self.trials), strict=True
+            )
+        )
         self.worth[new] = np.abs(change) + DEVIATIONS * np.sqrt(squares)
         return None
 
 
 def pieces(before: np.ndarray, cull: np.ndarray, units: Units) -> list[np.ndarray]:
-    """Sets between two, (U,) bool, the first a part of the second: each adds a PIECES-th of what lies between them, the least worth first."""
+    """Sets between two, (U,) bool, the first a part of the second: each adds a PIECES-th of what lies between them, the
+    least worth first."""
     new = np.flatnonzero(cull & ~before)
     new = new[np.argsort(units.worth[new].sum(axis=1) / np.maximum(units.members[new], 1), kind="stable")]
     upto = np.cumsum(units.worth[new].sum(axis=1))

@@ -1,7 +1,7 @@
 """Paths on trial: what they differ by where more and more is culled.
 
-Of all paths only those can differ that met something culled (`path_log`), so that a set costs a small part of a trace, and a set that adds to another a part of
-that.
+Of all paths only those can differ that met something culled (`path_log`), so that a set costs a small part of a trace,
+and a set that adds to another a part of that.
 """
 
 from __future__ import annotations
@@ -21,9 +21,12 @@ Without = Callable[[np.ndarray, NDArray[np.uint8]], PathLog]
 class Trial:
     """Paths of one trace of the full scene: the set that was accepted last, and one that is proposed."""
 
-    def __init__(self, reference: Reference, log: PathLog, without: Without, only: NDArray[np.uint8] | None = None) -> None:
-        """log: of the reference; becomes that of the accepted set. without: log of the paths (H, W, S) that its second argument marks, without the entries that
-        its first, (A,) bool, culls; valid there, and until it is called again. only: (H, W, S) marks the paths that there are, where those are not all.
+    def __init__(
+        self, reference: Reference, log: PathLog, without: Without, only: NDArray[np.uint8] | None = None
+    ) -> None:
+        """log: of the reference; becomes that of the accepted set. without: log of the paths (H, W, S) that its second
+        argument marks, without the entries that its first, (A,) bool, culls; valid there, and until it is called again.
+        only: (H, W, S) marks the paths that there are, where those are not all.
         """
         self.reference, self.log = reference, log
         self._without, self._only = without, only
@@ -32,7 +35,8 @@ class Trial:
         self._changed, self._after, self._due = np.zeros(log.shape, np.uint8), log, False
 
     def propose(self, cull: np.ndarray) -> int:
-        """Go for a set, (A,) bool, that culls what was accepted and more. Returns how many paths are to be traced for it."""
+        """Go for a set, (A,) bool, that culls what was accepted and more. Returns how many paths are to be traced for
+        it."""
         if len(self._cull) and (cull == self._cull).all():
             return 0
         self._cull = cull
@@ -56,8 +60,9 @@ class Trial:
             self._culled, self._accepted = self._cull, self.proposed
 
     def changes_by_unit(self, unit: np.ndarray, culled: np.ndarray, light: Light) -> tuple[F64, F64]:
-        """What each of the units culled, (U,) bool with C of them, changed alone at the proposed set, by the paths that met an entry of it before any other of
-        them: sums, and of squares, (C, T) float64, relative to a light. unit: (A,) of each TLAS entry.
+        """What each of the units culled, (U,) bool with C of them, changed alone at the proposed set, by the paths that
+        met an entry of it before any other of them: sums, and of squares, (C, T) float64, relative to a light. unit:
+        (A,) of each TLAS entry.
         """
         if not self._changed.any():
             return np.zeros((int(culled.sum()), len(light.paths))), np.zeros((int(culled.sum()), len(light.paths)))

@@ -1,10 +1,12 @@
 """What is decided together: instances by themselves where paths have met them often enough, else with their neighbours.
 
-One or two hits say little of a single instance: of many that are met by chance, those that were missed are worth as much as those that were met. So thinly met
-instances are pooled by the region that they lie in, as deep in the region tree as there is evidence, and a pool is kept or culled as a whole.
+One or two hits say little of a single instance: of many that are met by chance, those that were missed are worth as
+much as those that were met. So thinly met instances are pooled by the region that they lie in, as deep in the region
+tree as there is evidence, and a pool is kept or culled as a whole.
 
-What no path met is a unit of its own in each pool. Its worth is that of the pool's members that exactly one path met: the expected light of what is yet to be
-met (Good 1953, Turing's estimate). Where few of many members are met, but those often, that is little; where all are met by chance, as in a meadow, much.
+What no path met is a unit of its own in each pool. Its worth is that of the pool's members that exactly one path met:
+the expected light of what is yet to be met (Good 1953, Turing's estimate). Where few of many members are met, but those
+often, that is little; where all are met by chance, as in a meadow, much.
 """
 
 from __future__ import annotations
@@ -18,16 +20,18 @@ from ..accel.region_tree import FANOUT, Regions
 from ..arrays import F64, I32, I64
 from .budget import ENTRY_BYTES, Savings
 
-EVIDENCE = 8  # paths that met it, from which on an instance, or a pool, is judged by them: their number is then known to a third
+# paths that met it, from which on an instance, or a pool, is judged by them: their number is then known to a third
+EVIDENCE = 8
 
 
 @dataclass(frozen=True)
 class Units:
     """U units of what is decided together: those with TLAS entries first, then what no path met, by pool.
 
-    of_entry: (A,) int32 unit of each entry. worth: (U, T) float64 relative change of each tile that culling it is expected to make, infinite for what must
-    stay. unmet: of how many units no member was met: they come last. pool_of: (R,) int32 number among those for each lowest region of the tree, -1 for none.
-    members: (U,) how many instances each has.
+    of_entry: (A,) int32 unit of each entry. worth: (U, T) float64 relative change of each tile that culling it is
+    expected to make, infinite for what must stay. unmet: of how many units no member was met: they come last. pool_of:
+    (R,) int32 number among those for each lowest region of the tree, -1 for none. members: (U,) how many instances each
+    has.
     """
 
     of_entry: I32
@@ -39,7 +43,9 @@ class Units:
     @staticmethod
     def single(worth: F64) -> Units:
         """Each TLAS entry by itself, and nothing else. worth: (A, T)."""
-        return Units(np.arange(len(worth), dtype=np.int32), worth, 0, np.zeros(0, np.int32), np.ones(len(worth), np.int64))
+        return Units(
+            np.arange(len(worth), dtype=np.int32), worth, 0, np.zeros(0, np.int32), np.ones(len(worth), np.int64)
+        )
 
     def __len__(self) -> int:
         return len(self.worth)
@@ -59,7 +65,8 @@ class Units:
         return np.asarray(self.worth[n:][cull[n:]].sum(axis=0))
 
     def saved(self, savings: Savings, stay: np.ndarray) -> F64:
-        """(U,) bytes that culling each unit saves where those of stay, (U,) bool, are what is left. savings: of the entries."""
+        """(U,) bytes that culling each unit saves where those of stay, (U,) bool, are what is left. savings: of the
+        entries."""
         left = self.entries(stay)
         share = np.zeros(len(left))
         share[left] = savings.among_these(left).share
@@ -68,7 +75,8 @@ class Units:
         return np.maximum(out, 1.0)
 
     def unmet_kept(self, cull: np.ndarray, regions: Regions) -> I32:
-        """Instances in the regions of those pools whose unmet members stay, others of the regions included. cull: (U,) bool."""
+        """Instances in the regions of those pools whose unmet members stay, others of the regions included. cull: (U,)
+        bool."""
         kept = np.append(~cull[self.with_entries :], False)
         rows = np.flatnonzero(kept[self.pool_of])
         places = (rows[:, None] * FANOUT + np.arange(FANOUT)).ravel()
@@ -76,7 +84,8 @@ class Units:
 
 
 def units_of(regions: Regions, ids: I32, paths_met: I64, worth: F64, pinned: np.ndarray) -> Units:
-    """Units for TLAS entries of instances ids, (A,). paths_met: (A,) paths that met each. worth: (A, T). pinned: (N,) bool, what stays whatever it is worth."""
+    """Units for TLAS entries of instances ids, (A,). paths_met: (A,) paths that met each. worth: (A, T). pinned: (N,)
+    bool, what stays whatever it is worth."""
     alone = pinned[ids] | (paths_met >= EVIDENCE)
     thin = ~alone & (paths_met > 0)
     pool_of, pools = _pools(regions, regions.place[ids[thin]].astype(np.int64) // FANOUT, paths_met[thin])
@@ -118,8 +127,9 @@ def _sizes(regions: Regions) -> I64:
 
 
 def _pools(regions: Regions, nodes: I64, hits: I64) -> tuple[I32, int]:
-    """The pool of each lowest region, (R,) int32, and how many there are: the deepest nodes of the tree with hits enough on thinly met instances that no deeper
-    one has taken, and the whole tree for the rest. nodes, hits: the lowest region of each thinly met instance, and how many paths met it.
+    """The pool of each lowest region, (R,) int32, and how many there are: the deepest nodes of the tree with hits
+    enough on thinly met instances that no deeper one has taken, and the whole tree for the rest. nodes, hits: the
+    lowest region of each thinly met instance, and how many paths met it.
     """
     count = -(-len(regions.order) // FANOUT)
     if not count:

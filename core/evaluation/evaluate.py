@@ -1,4 +1,5 @@
-"""Speed against error for every policy: which sets the policies keep over their settings, what those cost, and how wrong the picture gets."""
+"""Speed against error for every policy: which sets the policies keep over their settings, what those cost, and how
+wrong the picture gets."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Settings:
-    """samples: of the judge, paths per pixel; options: of the analysis, whose policy and budget are set here; threads: 0 for all."""
+    """samples: of the judge, paths per pixel; options: of the analysis, whose policy and budget are set here; threads:
+    0 for all."""
 
     samples: int = 16
     options: CullOptions = field(default_factory=CullOptions)
@@ -55,7 +57,9 @@ class Store:
         _add(digest, scene)
         self.digest = digest.hexdigest()
 
-    def get(self, name: str, compute: Callable[[], tuple[dict[str, Any], dict[str, np.ndarray]]]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def get(
+        self, name: str, compute: Callable[[], tuple[dict[str, Any], dict[str, np.ndarray]]]
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Figures and arrays called name: from the folder, or computed and put there."""
         path = self.folder / (hashlib.sha256((self.digest + name).encode()).hexdigest()[:20] + ".npz")
         if path.exists():
@@ -92,7 +96,14 @@ def _add(digest: Any, value: Any) -> None:
 class Evaluation:
     """Rows of one scene. scene: at the size the judge is to see. store: finished pieces."""
 
-    def __init__(self, scene: Scene, settings: Settings, folder: Path, progress: Progress = silent, cancelled: Callable[[], bool] | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Settings,
+        folder: Path,
+        progress: Progress = silent,
+        cancelled: Callable[[], bool] | None = None,
+    ) -> None:
         self.scene, self.settings, self.cancelled = scene, settings, cancelled
         self.store = Store(folder, scene, settings.samples)
         self.judge = Judge(scene, settings.samples, settings.threads, progress, cancelled)
@@ -127,7 +138,8 @@ class Evaluation:
         return self.store.get("set " + _name_of(keep), compute)
 
     def run(self, progress: Progress = silent) -> None:
-        """All rows: the full scene, heuristics, ours by counts and by budget, random sets of equal count, the oracle."""
+        """All rows: the full scene, heuristics, ours by counts and by budget, random sets of equal count, the
+        oracle."""
         self.measure("none", 0.0, np.ones(len(self.scene.instances), bool))
         for k, policy in enumerate(RULES.values()):
             self.rule(policy, part(progress, 0.4 * k / len(RULES), 0.4 * (k + 1) / len(RULES), f"{policy.name}, "))
@@ -137,7 +149,8 @@ class Evaluation:
         self.oracles(part(progress, 0.65, 1.0))
 
     def rule(self, policy: Policy, progress: Progress = silent) -> None:
-        """Rows of a rule: a ladder of settings, then between the last that fails a budget and the first that holds it."""
+        """Rows of a rule: a ladder of settings, then between the last that fails a budget and the first that holds
+        it."""
         assert policy.setting is not None and policy.keep is not None
         settings = policy.setting.ladder(self.scene)
         sets = [policy.keep(self.scene, x) for x in settings]
@@ -146,7 +159,9 @@ class Evaluation:
         done: dict[int, Row] = {}
 
         def add(index: int) -> None:
-            if index not in done and not any(counts[index] == counts[j] and (sets[index] == sets[j]).all() for j in done):
+            if index not in done and not any(
+                counts[index] == counts[j] and (sets[index] == sets[j]).all() for j in done
+            ):
                 progress(min(len(done) / (LADDER + REFINEMENTS * len(BUDGETS)), 1.0), f"setting {settings[index]:.3g}")
                 done[index] = self.measure(policy.name, settings[index], sets[index])
 
@@ -162,7 +177,9 @@ class Evaluation:
                 middle = (counts[low] * counts[high]) ** 0.5
                 add(low + 1 + int(np.abs(counts[low + 1 : high] - middle).argmin()))
 
-    def analysis(self, options: CullOptions, progress: Progress = silent) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def analysis(
+        self, options: CullOptions, progress: Progress = silent
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """An analysis from nothing, from the store if it is there: its stats, and active and score."""
 
         def compute() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -177,15 +194,26 @@ class Evaluation:
         stats, arrays = self.analysis(options, part(progress, 0.0, 0.3))
         for k, share in enumerate(SHARES):
             progress(0.3 + 0.7 * k / len(SHARES), f"share {share:.3g}")
-            self.measure(COUNTS, share, arrays["score"] >= share, feedback_s=stats["feedback_s"], analysis_s=seconds(stats))
+            self.measure(
+                COUNTS, share, arrays["score"] >= share, feedback_s=stats["feedback_s"], analysis_s=seconds(stats)
+            )
 
     def budgets(self, progress: Progress = silent) -> None:
         """Rows of light-paths by budget, each an analysis of its own."""
         for k, budget in enumerate(budgets()):
             options = replace(self.settings.options, max_error=budget, min_share=None)
             stats, arrays = self.analysis(options, part(progress, k / 4, (k + 1) / 4, f"error {budget.mean:.3g}, "))
-            predicted = {key: stats[key] for key in ("predicted_mean", "predicted_worst", "certified_mean", "certified_worst")}
-            self.measure(OURS, budget.mean, arrays["active"], feedback_s=stats["feedback_s"], analysis_s=seconds(stats), **predicted)
+            predicted = {
+                key: stats[key] for key in ("predicted_mean", "predicted_worst", "certified_mean", "certified_worst")
+            }
+            self.measure(
+                OURS,
+                budget.mean,
+                arrays["active"],
+                feedback_s=stats["feedback_s"],
+                analysis_s=seconds(stats),
+                **predicted,
+            )
 
     def random(self, progress: Progress = silent) -> None:
         """Rows of random sets, each as large as ours for a budget."""
@@ -209,11 +237,17 @@ class Evaluation:
         for k, budget in enumerate(budgets()):
             low, high = 0.25 + 0.75 * k / 4, 0.25 + 0.75 * (k + 1) / 4
 
-            def compute(budget: Budget = budget, low: float = low, high: float = high) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+            def compute(
+                budget: Budget = budget, low: float = low, high: float = high
+            ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
                 if not weights:
                     weights.update(self.store.get("oracle's weights", weigh)[1])
                 proposals = [keep for row, keep in zip(self.rows, self.keeps, strict=True) if holds(row, budget)]
-                return {}, {"keep": search(self.judge, weights["worth"], weights["ids"], budget, proposals, part(progress, low, high))}
+                return {}, {
+                    "keep": search(
+                        self.judge, weights["worth"], weights["ids"], budget, proposals, part(progress, low, high)
+                    )
+                }
 
             _, arrays = self.store.get(f"oracle {budget}", compute)
             self.measure(ORACLE, budget.mean, arrays["keep"])
@@ -240,30 +274,47 @@ def seconds(stats: dict[str, Any]) -> float:
 
 
 def at_equal_error(rows: list[Row]) -> list[Row]:
-    """For each budget: what ours, the oracle and the best heuristic keep of instances and BLAS bytes, and how ours compares."""
+    """For each budget: what ours, the oracle and the best heuristic keep of instances and BLAS bytes, and how ours
+    compares."""
     out = []
     for budget in budgets():
-        ours, oracle = (next(r for r in rows if r["policy"] == p and r["setting"] == budget.mean) for p in (OURS, ORACLE))
+        ours, oracle = (
+            next(r for r in rows if r["policy"] == p and r["setting"] == budget.mean) for p in (OURS, ORACLE)
+        )
         able = [r for r in rows if r["policy"] in (*RULES, "none") and holds(r, budget)]
         entry: Row = {"error": budget.mean, "holds": holds(ours, budget), "mean": ours["mean"], "worst": ours["worst"]}
         for name in ("active", "blas_bytes"):
             best = min(able, key=lambda r: r[name])
-            entry |= {name: ours[name], f"{name}_oracle": oracle[name], f"{name}_heuristic": best[name], f"{name}_heuristic_policy": best["policy"]}
+            entry |= {
+                name: ours[name],
+                f"{name}_oracle": oracle[name],
+                f"{name}_heuristic": best[name],
+                f"{name}_heuristic_policy": best["policy"],
+            }
         out.append(entry)
     return out
 
 
 def budget_check(evaluation: Evaluation, seeds: int, progress: Progress = silent) -> Row:
-    """Whether the measured error stays in the budgets, for analyses with other random numbers: cases, how many hold, and each of them."""
+    """Whether the measured error stays in the budgets, for analyses with other random numbers: cases, how many hold,
+    and each of them."""
     cases = []
     for seed in range(1, seeds + 1):
         for k, budget in enumerate(budgets()):
             progress((4 * (seed - 1) + k) / (4 * seeds), f"seed {seed}, error {budget.mean:.3g}")
-            options = replace(evaluation.settings.options, max_error=budget, min_share=None, seed=seed, threads=evaluation.settings.threads)
+            options = replace(
+                evaluation.settings.options,
+                max_error=budget,
+                min_share=None,
+                seed=seed,
+                threads=evaluation.settings.threads,
+            )
             stats, arrays = evaluation.analysis(options)
             row = evaluation.changed(arrays["active"])
             case: Row = {"seed": seed, "error": budget.mean, "holds": holds(row, budget)} | row
-            cases.append(case | {key: stats[key] for key in ("active", "blas_bytes", "certified_mean", "certified_worst")})
+            cases.append(
+                case | {key: stats[key] for key in ("active", "blas_bytes", "certified_mean", "certified_worst")}
+            )
     return {"seeds": seeds, "cases": len(cases), "holding": sum(c["holds"] for c in cases), "each": cases}
 
 
@@ -271,13 +322,19 @@ def ray_budget(evaluation: Evaluation, progress: Progress = silent) -> list[Row]
     """What fewer paths, and boxes counted on fewer of them, do to an analysis at E = 1 %."""
     out = []
     budget = Budget(0.01, 0.05)
-    default = replace(evaluation.settings.options, max_error=budget, min_share=None).paths_per_pixel(evaluation.scene.film)
+    default = replace(evaluation.settings.options, max_error=budget, min_share=None).paths_per_pixel(
+        evaluation.scene.film
+    )
     studied = [(paths, 1) for paths in PATHS] + [(default, every) for every in EVERY]
     for k, (paths, every) in enumerate(studied):
         progress(k / len(studied), f"{paths} paths per pixel, boxes on one in {every}")
-        options = replace(evaluation.settings.options, max_error=budget, min_share=None, paths=paths, hitbox_every=every, seed=1)
+        options = replace(
+            evaluation.settings.options, max_error=budget, min_share=None, paths=paths, hitbox_every=every, seed=1
+        )
         stats, arrays = evaluation.analysis(options)
         row = evaluation.changed(arrays["active"])
-        out.append({"paths": paths, "hitbox_every": every, "holds": holds(row, budget), "analysis_s": seconds(stats)} | row)
+        out.append(
+            {"paths": paths, "hitbox_every": every, "holds": holds(row, budget), "analysis_s": seconds(stats)} | row
+        )
         out[-1] |= {key: stats[key] for key in ("iterations", "rays", "active", "blas_bytes")}
     return out

@@ -1,8 +1,8 @@
 """What a culled scene costs and how wrong it is, measured against the full one.
 
-The judge traces both with the same random numbers, which are not the analysis's: noise that both share cancels, and what is left is the bias of the culling. It
-knows what each path of the full picture met (`path_log`), so the culled one costs only the paths that met something culled, and every path's own difference
-tells how sure a figure is.
+The judge traces both with the same random numbers, which are not the analysis's: noise that both share cancels, and
+what is left is the bias of the culling. It knows what each path of the full picture met (`path_log`), so the culled one
+costs only the paths that met something culled, and every path's own difference tells how sure a figure is.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ TWO_SIDED_95 = 1.96  # standard deviations of a normal distribution
 
 
 def picture_change(full: F32, other: F32) -> tuple[float, float]:
-    """Relative change between two pictures, (H, W, 3 or 4) float32: mean over the coarse tiles and of the worst one, noise included."""
+    """Relative change between two pictures, (H, W, 3 or 4) float32: mean over the coarse tiles and of the worst one,
+    noise included."""
     a, b = tile_means(full), tile_means(other)
     size = np.abs(b - a) / np.maximum(a, max(DARK * a.mean(), 1e-30))
     return float(size.mean()), float(size.max())
@@ -40,7 +41,12 @@ class Judge:
     """The full scene, converged as far as its samples go, to measure others against."""
 
     def __init__(
-        self, scene: Scene, samples: int, threads: int = 0, progress: Progress = silent, cancelled: Callable[[], bool] | None = None
+        self,
+        scene: Scene,
+        samples: int,
+        threads: int = 0,
+        progress: Progress = silent,
+        cancelled: Callable[[], bool] | None = None,
     ) -> None:
         """samples: paths per pixel of the scene's film."""
         self.scene = scene
@@ -54,8 +60,12 @@ class Judge:
         self.tlas = self.loop.tracer.build(self.loop.activation.exists)
         self.first_sample = self.loop.tracer.next_sample
         self.log = PathLog.zeros(scene.film.height, scene.film.width, samples)
-        self.full = self.loop.tracer.trace(self.tlas, samples, progress=part(progress, 0.0, 0.5, "full picture, "), log=self.log)[1]
-        self.second_seed = self.loop.tracer.trace(self.tlas, samples, progress=part(progress, 0.5, 1.0, "with another seed, "))[1]
+        self.full = self.loop.tracer.trace(
+            self.tlas, samples, progress=part(progress, 0.0, 0.5, "full picture, "), log=self.log
+        )[1]
+        self.second_seed = self.loop.tracer.trace(
+            self.tlas, samples, progress=part(progress, 0.5, 1.0, "with another seed, ")
+        )[1]
         self.reference = Reference(self.log)
         self.light = Light.of(self.reference)
 
@@ -70,13 +80,18 @@ class Judge:
         return self.light.estimate(self.reference.compare(only, color, self.log, self.reference.nothing))
 
     def picture(self, keep: np.ndarray) -> F32:
-        """The picture with only keep (N,) bool in the scene, (H, W, 4) float32: the full one, with what has changed in it exchanged."""
+        """The picture with only keep (N,) bool in the scene, (H, W, 4) float32: the full one, with what has changed in
+        it exchanged."""
         only = self._affected(keep)
-        before, after = (self.loop.tracer.trace_paths(which, self.first_sample, only)[0] for which in (self.loop.activation.exists, keep))
+        before, after = (
+            self.loop.tracer.trace_paths(which, self.first_sample, only)[0]
+            for which in (self.loop.activation.exists, keep)
+        )
         return np.asarray(self.full + (after - before), np.float32)
 
     def measure(self, keep: np.ndarray) -> tuple[dict[str, float], F32]:
-        """Error and cost of keep (N,) bool by name, and the picture (H, W, 4) float32. trace_s: of TIMED paths per pixel."""
+        """Error and cost of keep (N,) bool by name, and the picture (H, W, 4) float32. trace_s: of TIMED paths per
+        pixel."""
         change, culled = self.change(keep), self.picture(keep)
         cost = self.cost(keep)
         start = time.perf_counter()
@@ -107,7 +122,8 @@ class Judge:
         }
 
     def exhaustive_weights(self, samples: int, progress: Progress = silent) -> tuple[F64, I32]:
-        """What each instance is worth with the whole scene active, from paths that the judge does not use: (A, T) float64, and ids (A,) int32."""
+        """What each instance is worth with the whole scene active, from paths that the judge does not use: (A, T)
+        float64, and ids (A,) int32."""
         weights = Weights.zeros(len(self.tlas), float(tile_means(self.full).mean()))
         self.loop.tracer.trace(self.tlas, samples, weights=weights, progress=progress)
         return weights.relative(), self.tlas.ids

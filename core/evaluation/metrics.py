@@ -19,15 +19,20 @@ def _pair(reference: ArrayLike, test: ArrayLike, dtype: type) -> tuple[np.ndarra
     a: np.ndarray = np.asarray(reference, dtype)[..., :3]
     b: np.ndarray = np.asarray(test, dtype)[..., :3]
     if a.shape != b.shape or a.ndim != 3:
-        raise InputError(f"pictures of {a.shape[1::-1]} and {b.shape[1::-1]} pixels cannot be compared: render both at one resolution")
+        raise InputError(
+            f"pictures of {a.shape[1::-1]} and {b.shape[1::-1]} pixels cannot be compared: render both at one "
+            "resolution"
+        )
     return np.ascontiguousarray(a), np.ascontiguousarray(b)
 
 
 def flip(reference: ArrayLike, test: ArrayLike) -> tuple[F32, float]:
     """FLIP: the difference that a person alternating between two displayed pictures sees, 0 to 1 (0: none).
 
-    Args: pictures as displayed, sRGB in [0, 1]. Returns the map (H, W) float32 and its mean, at the customary 67 pixels per degree.
-    (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", HPG 2020.) Raises InputError where sizes differ.
+    Args: pictures as displayed, sRGB in [0, 1]. Returns the map (H, W) float32 and its mean, at the customary 67 pixels
+    per degree.
+    (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", HPG 2020.) Raises InputError where sizes
+    differ.
     """
     import flip_evaluator
 
@@ -37,21 +42,25 @@ def flip(reference: ArrayLike, test: ArrayLike) -> tuple[F32, float]:
 
 
 def relative_mse(reference: ArrayLike, test: ArrayLike) -> float:
-    """relMSE of linear pictures: mean of (test - reference)^2 / (reference^2 + 0.01) (Rousselle, Knaus, Zwicker, SIGGRAPH Asia 2011)."""
+    """relMSE of linear pictures: mean of (test - reference)^2 / (reference^2 + 0.01) (Rousselle, Knaus, Zwicker,
+    SIGGRAPH Asia 2011)."""
     a, b = _pair(reference, test, np.float64)
     return float(np.mean((b - a) ** 2 / (a * a + _EPSILON)))
 
 
 def tile_rmse(reference: ArrayLike, test: ArrayLike, tile: int = TILE) -> F64:
-    """Root mean square difference of linear pictures within each tile of `tile` x `tile` pixels (smaller at the far edges): (rows, columns) float64."""
+    """Root mean square difference of linear pictures within each tile of `tile` x `tile` pixels (smaller at the far
+    edges): (rows, columns) float64."""
     a, b = _pair(reference, test, np.float64)
     return np.sqrt(tile_mean(((b - a) ** 2).mean(axis=2), tile))
 
 
 def flip_hdr(reference: ArrayLike, test: ArrayLike) -> tuple[F32, float]:
-    """HDR-FLIP of linear pictures: FLIP at every exposure at which they could be shown, the largest per pixel. Returns as `flip` does.
+    """HDR-FLIP of linear pictures: FLIP at every exposure at which they could be shown, the largest per pixel. Returns
+    as `flip` does.
 
-    (Andersson et al., "Visualizing Errors in Rendered High Dynamic Range Images", Eurographics 2021.) Raises InputError where sizes differ.
+    (Andersson et al., "Visualizing Errors in Rendered High Dynamic Range Images", Eurographics 2021.) Raises InputError
+    where sizes differ.
     """
     import flip_evaluator
 
@@ -65,7 +74,8 @@ def flip_hdr(reference: ArrayLike, test: ArrayLike) -> tuple[F32, float]:
 
 
 def tile_mean(values: ArrayLike, tile: int = TILE) -> F64:
-    """Mean of a map (H, W) within each tile of `tile` x `tile` pixels (smaller at the far edges): (rows, columns) float64."""
+    """Mean of a map (H, W) within each tile of `tile` x `tile` pixels (smaller at the far edges): (rows, columns)
+    float64."""
     v = np.asarray(values, np.float64)
     rows, columns = (np.arange(0, n, tile) for n in v.shape)
     total = np.add.reduceat(np.add.reduceat(v, rows, axis=0), columns, axis=1)
@@ -74,7 +84,8 @@ def tile_mean(values: ArrayLike, tile: int = TILE) -> F64:
 
 
 def linear_error(reference: ArrayLike, test: ArrayLike) -> dict[str, float]:
-    """HDR-FLIP, relMSE and RMSE of linear pictures, each as mean over the picture and as 99th percentile over tiles (`_p99`): a lost shadow is local."""
+    """HDR-FLIP, relMSE and RMSE of linear pictures, each as mean over the picture and as 99th percentile over tiles
+    (`_p99`): a lost shadow is local."""
     a, b = _pair(reference, test, np.float64)
     square = (b - a) ** 2
     flip_map, flip_mean = flip_hdr(a, b)
@@ -90,8 +101,8 @@ def linear_error(reference: ArrayLike, test: ArrayLike) -> dict[str, float]:
 
 
 def flicker(reference: Sequence[ArrayLike], test: Sequence[ArrayLike]) -> float:
-    """How much a sequence of linear pictures flickers beyond its reference: mean over pixels and pairs of successive frames of the change of the difference,
-    relative to the reference's mean. A constant difference does not flicker."""
+    """How much a sequence of linear pictures flickers beyond its reference: mean over pixels and pairs of successive
+    frames of the change of the difference, relative to the reference's mean. A constant difference does not flicker."""
     pairs = [_pair(a, b, np.float64) for a, b in zip(reference, test, strict=True)]
     if len(pairs) < 2:
         return 0.0
@@ -101,7 +112,8 @@ def flicker(reference: Sequence[ArrayLike], test: Sequence[ArrayLike]) -> float:
 
 
 def error(reference: ArrayLike, test: ArrayLike, reference_shown: ArrayLike, test_shown: ArrayLike) -> dict[str, float]:
-    """The named metrics of report.json: `flip` of the displayed pictures, and of the linear ones `relmse`, `rmse` and `rmse_p99` over tiles."""
+    """The named metrics of report.json: `flip` of the displayed pictures, and of the linear ones `relmse`, `rmse` and
+    `rmse_p99` over tiles."""
     tiles = tile_rmse(reference, test)
     return {
         "flip": flip(reference_shown, test_shown)[1],

@@ -1,9 +1,11 @@
-"""The oracle: the cheapest set that any search found for an error, to judge policies by. It may look at everything and take its time.
+"""The oracle: the cheapest set that any search found for an error, to judge policies by. It may look at everything and
+take its time.
 
-It searches as an analysis does (`error_budget.search`), but with what that cannot afford: exhaustive weights (everything active, many paths per pixel), all
-the judge's paths, and every set that some policy proposed to begin with. What it finds keeps both bounds with 95 % confidence in each tile, by those paths: of
-so many sets, one would always keep them by chance. So it is the best of a greedy search with verified error: a bound of what is known to be possible, not
-a proof of what is not.
+It searches as an analysis does (`error_budget.search`), but with what that cannot afford: exhaustive weights
+(everything active, many paths per pixel), all the judge's paths, and every set that some policy proposed to begin with.
+What it finds keeps both bounds with 95 % confidence in each tile, by those paths: of so many sets, one would always
+keep them by chance. So it is the best of a greedy search with verified error: a bound of what is known to be possible,
+not a proof of what is not.
 """
 
 from __future__ import annotations
@@ -33,7 +35,14 @@ def retained(judge: Judge, keep: np.ndarray) -> float:
     return float(judge.loop.blas.counted_bytes[np.unique(mesh[keep])].sum() + ENTRY_BYTES * keep.sum())
 
 
-def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterable[np.ndarray] = (), progress: Progress = silent) -> np.ndarray:
+def search(
+    judge: Judge,
+    worth: F64,
+    ids: I32,
+    budget: Budget,
+    proposals: Iterable[np.ndarray] = (),
+    progress: Progress = silent,
+) -> np.ndarray:
     """The cheapest keep, (N,) bool, whose measured change surely stays within the budget.
 
     worth (A, T), ids (A,): `Judge.exhaustive_weights`. proposals: sets (N,) bool to start from too.
@@ -49,7 +58,9 @@ def search(judge: Judge, worth: F64, ids: I32, budget: Budget, proposals: Iterab
 
     def without(cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
         keep = kept(cull)
-        judge.loop.tracer.trace_without(judge.tlas, judge.first_sample, keep, judge.loop.tracer.build(keep), only, trial)
+        judge.loop.tracer.trace_without(
+            judge.tlas, judge.first_sample, keep, judge.loop.tracer.build(keep), only, trial
+        )
         return trial
 
     def thinned_out(first: np.ndarray | None, progress: Progress) -> np.ndarray:

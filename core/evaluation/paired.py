@@ -1,13 +1,16 @@
-"""How much two versions of a scene differ, judged by pairs of pictures and by nothing else: what a judge from outside can know.
+"""How much two versions of a scene differ, judged by pairs of pictures and by nothing else: what a judge from outside
+can know.
 
-Each pair was rendered with the same random numbers, each with others than the pairs before. Three relative changes are judged, per coarse tile:
+Each pair was rendered with the same random numbers, each with others than the pairs before. Three relative changes are
+judged, per coarse tile:
 
     luminance   of the tile's mean
     colour      of the tile's mean, root mean square over the channels
     detail      mean over blocks of BLOCKS x BLOCKS to a tile, each taken like colour
 
-Pairs tell their noise: a pixel's difference varies from pair to pair by noise alone, and what differs between neighbouring pixels is none. A change that may be
-noise is not counted where a lower end is asked for: its direction is taken from the other pairs, so that noise averages out (cross-fitting).
+Pairs tell their noise: a pixel's difference varies from pair to pair by noise alone, and what differs between
+neighbouring pixels is none. A change that may be noise is not counted where a lower end is asked for: its direction is
+taken from the other pairs, so that noise averages out (cross-fitting).
 """
 
 from __future__ import annotations
@@ -45,7 +48,10 @@ class Change:
 
     def times(self, mean: float, worst: float) -> Range:
         """How many times a budget, that of the two bounds which is the more exceeded."""
-        by_end = [[getattr(change, end) / max(bound, 1e-12) for end in ("low", "value", "high")] for change, bound in ((self.mean, mean), (self.worst, worst))]
+        by_end = [
+            [getattr(change, end) / max(bound, 1e-12) for end in ("low", "value", "high")]
+            for change, bound in ((self.mean, mean), (self.worst, worst))
+        ]
         low, value, high = np.max(by_end, axis=0)
         return Range(float(low), float(value), float(high))
 
@@ -59,7 +65,8 @@ class Pairs:
         self._difference: list[F64] = []
 
     def add(self, full: ArrayLike, other: ArrayLike, samples: int) -> None:
-        """Add a pair, (H, W, 3 or more) linear Rec.709, by so many samples per pixel. Raises ValueError where sizes differ or a value is not finite."""
+        """Add a pair, (H, W, 3 or more) linear Rec.709, by so many samples per pixel. Raises ValueError where sizes
+        differ or a value is not finite."""
         a, b = (np.asarray(x, np.float64)[..., :3] for x in (full, other))
         if a.shape != b.shape or (self._full and a.shape != self._full[0].shape):
             raise ValueError("pictures of different sizes cannot be compared")
@@ -93,27 +100,35 @@ class Pairs:
         tile = np.bincount(of, minlength=ROWS * COLUMNS)  # cells in each
         area = np.bincount(of, pixels, ROWS * COLUMNS)
         brightness = np.sqrt((_by_tile(light, of) ** 2).mean(axis=1)) / area
-        brightness = np.maximum(brightness, max(DARKEST * brightness.mean(), 1e-30))[of] * pixels  # (C,) of a cell of such a tile
+        # (C,) of a cell of such a tile
+        brightness = np.maximum(brightness, max(DARKEST * brightness.mean(), 1e-30))[of] * pixels
 
-        by_pair = np.stack([_sums(x, cell, len(of)) for x in difference]) / brightness[None, :, None]  # (K, C, channels)
+        # (K, C, channels)
+        by_pair = np.stack([_sums(x, cell, len(of)) for x in difference]) / brightness[None, :, None]
         together = np.average(by_pair, axis=0, weights=weight)
-        rest = (weight.sum() * together - weight[:, None, None] * by_pair) / (weight.sum() - weight)[:, None, None]  # without that pair
+        # without that pair
+        rest = (weight.sum() * together - weight[:, None, None] * by_pair) / (weight.sum() - weight)[:, None, None]
         length = np.linalg.norm(rest, axis=2)
         along = np.divide((by_pair * rest).sum(axis=2), length, out=np.zeros_like(length), where=length > 0)
         least, most = np.average(along, axis=0, weights=weight) / np.sqrt(channels), np.sqrt((together**2).mean(axis=1))
 
-        spread = (weight[:, None, None, None] * (difference - np.average(difference, axis=0, weights=weight)) ** 2).sum(axis=0)
+        spread = (weight[:, None, None, None] * (difference - np.average(difference, axis=0, weights=weight)) ** 2).sum(
+            axis=0
+        )
         variance = _sums(spread, cell, len(of)).mean(axis=1) / ((len(weight) - 1) * weight.sum() * brightness**2)
         least, most = (np.bincount(of, x, ROWS * COLUMNS) / tile for x in (least, most))
         error = np.sqrt(np.bincount(of, variance, ROWS * COLUMNS)) / tile
         margin = SURE * float(np.sqrt((error**2).sum())) / len(error)
         mean = Range(max(float(least.mean()) - margin, 0.0), float(most.mean()), float(most.mean()) + margin)
-        worst = Range(max(float((least - SURE * error).max()), 0.0), float(most.max()), float((most + SURE * error).max()))
+        worst = Range(
+            max(float((least - SURE * error).max()), 0.0), float(most.max()), float((most + SURE * error).max())
+        )
         return Change(mean, worst)
 
 
 def _cells(height: int, width: int, fine: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The cell of each pixel, (height, width), of fine x fine to a tile, less where pixels are larger; and the tile of each cell."""
+    """The cell of each pixel, (height, width), of fine x fine to a tile, less where pixels are larger; and the tile of
+    each cell."""
     y, x = (np.arange(n) * (tiles * fine) // n for n, tiles in ((height, ROWS), (width, COLUMNS)))
     number = y[:, None] * (COLUMNS * fine) + x[None, :]
     used, cell = np.unique(number, return_inverse=True)

@@ -1,4 +1,5 @@
-"""A picture of the TLAS seen from outside: active geometry shaded, hitboxes of what is culled as glass boxes with edges, the camera's view as lines."""
+"""A picture of the TLAS seen from outside: active geometry shaded, hitboxes of what is culled as glass boxes with
+edges, the camera's view as lines."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ _SAMPLES = 2  # per pixel and axis
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """An orthographic view: center (3,), unit vectors right, up, forward (3,), `width` in metres, `reach` metres before and behind the center."""
+    """An orthographic view: center (3,), unit vectors right, up, forward (3,), `width` in metres, `reach` metres before
+    and behind the center."""
 
     center: F64
     right: F64
@@ -42,10 +44,21 @@ class Viewpoint:
     reach: float
 
 
-def viewpoint(scene: Scene, active: np.ndarray, aspect: float, turn: float = math.radians(-40.0), height: float = math.radians(42.0)) -> Viewpoint:
-    """A view from above that frames the active instances and their surroundings; `turn` is measured from where the camera looks, `height` is its elevation."""
+def viewpoint(
+    scene: Scene,
+    active: np.ndarray,
+    aspect: float,
+    turn: float = math.radians(-40.0),
+    height: float = math.radians(42.0),
+) -> Viewpoint:
+    """A view from above that frames the active instances and their surroundings; `turn` is measured from where the
+    camera looks, `height` is its elevation."""
     to_world = scene.camera.to_world
-    box = scene.instances.bounds[active].astype(np.float64) if active.any() else np.stack([to_world[:, 3] - 1, to_world[:, 3] + 1])[None]
+    box = (
+        scene.instances.bounds[active].astype(np.float64)
+        if active.any()
+        else np.stack([to_world[:, 3] - 1, to_world[:, 3] + 1])[None]
+    )
     middle = box.mean(axis=1)
     low, high = np.percentile(middle, 2, axis=0), np.percentile(middle, 98, axis=0)
     far = to_world[:, 3] - 0.25 * float((high - low).max()) * to_world[:, 2]  # where the lines of the camera's view end
@@ -57,7 +70,9 @@ def viewpoint(scene: Scene, active: np.ndarray, aspect: float, turn: float = mat
     right = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
     up = np.cross(right, forward)
     width = 1.35 * max(float(np.abs(right) @ extent), float(np.abs(up) @ extent) * aspect, 1e-3)
-    whole = scene.instances.bounds[np.isfinite(scene.instances.bounds).all(axis=(1, 2))].astype(np.float64).reshape(-1, 3)
+    whole = (
+        scene.instances.bounds[np.isfinite(scene.instances.bounds).all(axis=(1, 2))].astype(np.float64).reshape(-1, 3)
+    )
     reach = float(np.abs((whole - (low + high) / 2) @ forward).max(initial=width)) + width
     return Viewpoint((low + high) / 2, right, up, forward, width, min(reach, 8.0 * width))
 
@@ -68,7 +83,8 @@ _THROUGH, _LINE, _ARGUMENTS, _QUERY = 1, 2, 3, 8
 
 @cfunc(types.void(types.CPointer(types.uintp)), cache=True)
 def _look_through(arguments):
-    # RTCIntersectFunctionNArguments, as in core.accel.hitboxes. All boxes have one colour, so the light that they let through is a product in any order.
+    # RTCIntersectFunctionNArguments, as in core.accel.hitboxes. All boxes have one colour, so the light that they let
+    # through is a product in any order.
     prim = np.int64(arguments[2] & np.uintp(0xFFFFFFFF))
     box = carray(pointer(arguments[1]), (6 * (prim + 1),), np.float32)
     ray = carray(pointer(arguments[4]), (12,), np.float32)
@@ -101,7 +117,8 @@ def _look_through(arguments):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _draw(tlas, ids, first, transform, tint, boxes, frame, light, colors, line, far, pixel, row, out):
-    """Fill out (rows, columns, 3) float32 from picture row `row` on, counted from the top; frame: (4, 3) upper left corner, right, up, forward."""
+    """Fill out (rows, columns, 3) float32 from picture row `row` on, counted from the top; frame: (4, 3) upper left
+    corner, right, up, forward."""
     ray = np.empty(RAY, np.float32)
     query = np.zeros(_QUERY, np.int64)
     query[0] = -1
@@ -125,9 +142,21 @@ def _draw(tlas, ids, first, transform, tint, boxes, frame, light, colors, line, 
                 m = transform[i]
                 n0, n1, n2 = ray[NG], ray[NG + 1], ray[NG + 2]
                 # Normals go by the cofactors of the linear part, which need no inverse and bear a singular one.
-                w0 = (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]) * n0 + (m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]) * n1 + (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]) * n2
-                w1 = (m[2, 1] * m[0, 2] - m[2, 2] * m[0, 1]) * n0 + (m[2, 2] * m[0, 0] - m[2, 0] * m[0, 2]) * n1 + (m[2, 0] * m[0, 1] - m[2, 1] * m[0, 0]) * n2
-                w2 = (m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]) * n0 + (m[0, 2] * m[1, 0] - m[0, 0] * m[1, 2]) * n1 + (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]) * n2
+                w0 = (
+                    (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]) * n0
+                    + (m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]) * n1
+                    + (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]) * n2
+                )
+                w1 = (
+                    (m[2, 1] * m[0, 2] - m[2, 2] * m[0, 1]) * n0
+                    + (m[2, 2] * m[0, 0] - m[2, 0] * m[0, 2]) * n1
+                    + (m[2, 0] * m[0, 1] - m[2, 1] * m[0, 0]) * n2
+                )
+                w2 = (
+                    (m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]) * n0
+                    + (m[0, 2] * m[1, 0] - m[0, 0] * m[1, 2]) * n1
+                    + (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]) * n2
+                )
                 length = math.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
                 if length > 0.0:
                     side = -1.0 if w0 * d0 + w1 * d1 + w2 * d2 > 0.0 else 1.0
@@ -151,8 +180,11 @@ def _draw(tlas, ids, first, transform, tint, boxes, frame, light, colors, line, 
             out[y, x, 2] = (1.0 - through) * colors[0, 2] + through * bl
 
 
-def render(scene: Scene, active: np.ndarray, boxes: F32, view: Viewpoint, width: int, height: int, threads: int = 0) -> F32:
-    """Active instances (N,) bool of a scene and boxes (H, 2, 3) float32, world, seen from `view`: (height, width, 3) float32, sRGB, rows from the top."""
+def render(
+    scene: Scene, active: np.ndarray, boxes: F32, view: Viewpoint, width: int, height: int, threads: int = 0
+) -> F32:
+    """Active instances (N,) bool of a scene and boxes (H, 2, 3) float32, world, seen from `view`: (height, width, 3)
+    float32, sRGB, rows from the top."""
     cache = BlasCache(scene.meshes)
     cache.need(scene.instances.mesh[active])
     tlas = Tlas(scene.instances, cache, active)
@@ -171,7 +203,22 @@ def render(scene: Scene, active: np.ndarray, boxes: F32, view: Viewpoint, width:
 
     def band(row: int) -> None:
         part = picture[row : row + _BAND]
-        _draw(tlas.handle, tlas.ids, tlas.first, scene.instances.transform, tint, hitboxes.handle, frame, light, colors, line, far, pixel, row, part)
+        _draw(
+            tlas.handle,
+            tlas.ids,
+            tlas.first,
+            scene.instances.transform,
+            tint,
+            hitboxes.handle,
+            frame,
+            light,
+            colors,
+            line,
+            far,
+            pixel,
+            row,
+            part,
+        )
 
     with ThreadPoolExecutor(threads or processors()) as pool:
         list(pool.map(band, range(0, h, _BAND)))
@@ -188,10 +235,13 @@ def _frustum(camera: Camera, length: float) -> F64:
     return np.concatenate([np.stack([near, far], 1), np.stack([far, np.roll(far, -1, axis=0)], 1)])
 
 
-def tlas_picture(scene: Scene, active: np.ndarray, boxes: F32, size: tuple[int, int] = (960, 540), threads: int = 0) -> U8:
+def tlas_picture(
+    scene: Scene, active: np.ndarray, boxes: F32, size: tuple[int, int] = (960, 540), threads: int = 0
+) -> U8:
     """The picture with the camera's view and a legend: (height, width, 3) uint8, sRGB, rows from the top.
 
-    scene: a frame; active: (N,) bool; boxes: (H, 2, 3) float32 world boxes of the hitboxes; size: width and height in pixels; threads: 0 for all.
+    scene: a frame; active: (N,) bool; boxes: (H, 2, 3) float32 world boxes of the hitboxes; size: width and height in
+    pixels; threads: 0 for all.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection
@@ -206,13 +256,19 @@ def tlas_picture(scene: Scene, active: np.ndarray, boxes: F32, size: tuple[int, 
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(np.clip(picture, 0, 1), extent=(0, width, height, 0), interpolation="nearest")
-    lines = (_frustum(scene.camera, 0.15 * view.width) - view.center) @ np.stack([view.right, -view.up], 1) * (width / view.width) + (width / 2, height / 2)
+    lines = (_frustum(scene.camera, 0.15 * view.width) - view.center) @ np.stack([view.right, -view.up], 1) * (
+        width / view.width
+    ) + (width / 2, height / 2)
     axes.add_collection(LineCollection(list(lines), colors=[VIEW], linewidths=2.0))
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.axis("off")
     handles = [
         Patch(color=ACTIVE, label=f"active: {int(active.sum()):,} of {len(active):,} instances"),
-        Patch(facecolor=(*HITBOX, 0.25), edgecolor=HITBOX, label=f"culled: {int((~active).sum()):,}, in {len(boxes):,} hitboxes"),
+        Patch(
+            facecolor=(*HITBOX, 0.25),
+            edgecolor=HITBOX,
+            label=f"culled: {int((~active).sum()):,}, in {len(boxes):,} hitboxes",
+        ),
         Line2D([], [], color=VIEW, lw=2, label="what the camera sees"),
     ]
     axes.legend(handles=handles, loc="lower left", framealpha=0.9, fontsize=11)

@@ -1,4 +1,5 @@
-"""What rays met: integer counts per instance and per hitbox, by ray type. Integers add up to the same whatever the order and the number of threads."""
+"""What rays met: integer counts per instance and per hitbox, by ray type. Integers add up to the same whatever the
+order and the number of threads."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ _FIXED = float(1 << 20)  # units of fixed point to the picture's mean luminance
 
 
 def sparse_zeros(shape: tuple[int, ...], dtype: Any = np.int64) -> Any:
-    """Zeros, an array of which few are ever touched: memory by pages of 4 kB, where NumPy asks the system for pages of 2 MB, so that hits on a few hundred of a
-    million instances would take, and clear, all 40 MB, in every round."""
+    """Zeros, an array of which few are ever touched: memory by pages of 4 kB, where NumPy asks the system for pages of
+    2 MB, so that hits on a few hundred of a million instances would take, and clear, all 40 MB, in every round."""
     size, each = math.prod(shape), np.dtype(dtype).itemsize
     if hasattr(mmap, "MADV_NOHUGEPAGE"):  # private: what is only read takes nothing either
         memory = mmap.mmap(-1, max(each * size, 1), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
@@ -35,9 +36,10 @@ def sparse_zeros(shape: tuple[int, ...], dtype: Any = np.int64) -> Any:
 class Weights:
     """What TLAS entries are worth to the picture, in fixed point: order and threads do not matter.
 
-    light: (A, T) int64, luminance that paths gathered behind entry a in tile t, or at least what they carried times the mean luminance, since something that
-    bright may stand behind it; and what its blocking denied to shadow rays. total: (T,) int64, luminance of all paths of a tile. Tiles in rows from the bottom.
-    ambient: mean luminance of the picture. unit: luminance of one unit. first: the TLAS entry that row 0 is for; those before it are not weighed. The number
+    light: (A, T) int64, luminance that paths gathered behind entry a in tile t, or at least what they carried times the
+    mean luminance, since something that bright may stand behind it; and what its blocking denied to shadow rays. total:
+    (T,) int64, luminance of all paths of a tile. Tiles in rows from the bottom. ambient: mean luminance of the picture.
+    unit: luminance of one unit. first: the TLAS entry that row 0 is for; those before it are not weighed. The number
     behind the last entry of a TLAS, where there is a row for it, stands for the boxes of all that is not built.
     """
 
@@ -51,12 +53,13 @@ class Weights:
     def zeros(entries: int, ambient: float, first: int = 0) -> Weights:
         """Nothing gathered yet, for so many TLAS entries from the first on; ambient: mean luminance expected."""
         ambient = max(ambient, 1e-30)
-        return Weights(np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED, first)
-
+        return Weights(
+            np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED, first
+        )
 
     def relative(self, samples: F64 | I64 | int = 1) -> F64:
-        """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64. samples: paths per pixel of each tile, (T,), where tiles
-        differ in that.
+        """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64. samples: paths per
+        pixel of each tile, (T,), where tiles differ in that.
 
         Tiles darker than DARK times the mean are judged against that.
         """
@@ -68,9 +71,10 @@ class Weights:
 class Feedback:
     """Counts of one trace.
 
-    hits: (N, RAY_TYPES) int64, rays of a type whose closest hit was the instance; in the column SHADOW: shadow rays that it blocked, or that arrived at it
-    where it is an emitter. boxes: (H, RAY_TYPES) int64, ray segments that crossed the hitbox. hitboxes: their Embree scene (uint64), 0 for none.
-    paths: how many camera paths made these counts. weights: what the light was worth, where it is asked for.
+    hits: (N, RAY_TYPES) int64, rays of a type whose closest hit was the instance; in the column SHADOW: shadow rays
+    that it blocked, or that arrived at it where it is an emitter. boxes: (H, RAY_TYPES) int64, ray segments that
+    crossed the hitbox. hitboxes: their Embree scene (uint64), 0 for none. paths: how many camera paths made these
+    counts. weights: what the light was worth, where it is asked for.
     """
 
     hits: I64

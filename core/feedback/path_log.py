@@ -1,6 +1,8 @@
-"""What each path of a trace met, and how bright it came out: so that a scene without some instances is traced again only where it can differ.
+"""What each path of a trace met, and how bright it came out: so that a scene without some instances is traced again
+only where it can differ.
 
-A path that met nothing of what is culled takes the same course without it, bit for bit: random numbers belong to the path, and nothing else is in its way.
+A path that met nothing of what is culled takes the same course without it, bit for bit: random numbers belong to the
+path, and nothing else is in its way.
 """
 
 from __future__ import annotations
@@ -15,13 +17,15 @@ from ..arrays import F32, I32, I64
 from ..scene.film import LUMINANCE
 from .hits import sparse_zeros
 
-RECORD = 16  # int32 per path, a line of the cache: how many entries it met, then the entries; a path that met more counts as one that met everything
+# int32 per path, a line of the cache: how many entries it met, then the entries; a path that met more counts as one
+# that met everything
+RECORD = 16
 
 
 @dataclass(frozen=True)
 class PathLog:
-    """records: (H, W, S, RECORD) int32, count and TLAS entries met by each of S paths per pixel; the number behind the last entry stands for boxes of what is
-    not built. color: (H, W, S, 3) float32, linear light of each path."""
+    """records: (H, W, S, RECORD) int32, count and TLAS entries met by each of S paths per pixel; the number behind the
+    last entry stands for boxes of what is not built. color: (H, W, S, 3) float32, linear light of each path."""
 
     records: I32
     color: F32
@@ -40,7 +44,10 @@ class PathLog:
     @staticmethod
     def zeros(height: int, width: int, samples: int) -> PathLog:
         """Nothing traced yet. Paths that never are, as of most tiles where some get many, take no memory."""
-        return PathLog(sparse_zeros((height, width, samples, RECORD), np.int32), sparse_zeros((height, width, samples, 3), np.float32))
+        return PathLog(
+            sparse_zeros((height, width, samples, RECORD), np.int32),
+            sparse_zeros((height, width, samples, 3), np.float32),
+        )
 
     def copy(self, only: NDArray[np.uint8]) -> PathLog:
         """A copy of the paths that only, (H, W, S), marks. The others take no memory."""
@@ -50,14 +57,21 @@ class PathLog:
 
     def update(self, only: NDArray[np.uint8], other: PathLog) -> None:
         """Take the paths that only, (H, W, S), marks from another log."""
-        _take(only.reshape(-1), self.records.reshape(-1, RECORD), self.color.reshape(-1, 3), other.records.reshape(-1, RECORD), other.color.reshape(-1, 3))
+        _take(
+            only.reshape(-1),
+            self.records.reshape(-1, RECORD),
+            self.color.reshape(-1, 3),
+            other.records.reshape(-1, RECORD),
+            other.color.reshape(-1, 3),
+        )
 
     def clear(self, only: NDArray[np.uint8]) -> None:
         """Of the paths that only, (H, W, S), marks, forget what they met."""
         _clear(only.reshape(-1), self.records.reshape(-1, RECORD))
 
     def affected(self, culled: np.ndarray, among: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """1 for each path that met one of the culled TLAS entries, (A,) bool, a box of what is not built, or more than its record holds: (H, W, S) uint8.
+        """1 for each path that met one of the culled TLAS entries, (A,) bool, a box of what is not built, or more than
+        its record holds: (H, W, S) uint8.
 
         among: (H, W, S), marks the paths that there are, where those are not all.
         """
@@ -66,7 +80,8 @@ class PathLog:
         return out
 
     def paths_met(self, entries: int) -> I64:
-        """How many paths met each of so many TLAS entries, (entries,) int64; of a path that met more than its record holds, only what that holds."""
+        """How many paths met each of so many TLAS entries, (entries,) int64; of a path that met more than its record
+        holds, only what that holds."""
         out = np.zeros(entries + 1, np.int64)
         _count(self.records.reshape(-1, RECORD), out)
         return out[:entries]
@@ -129,7 +144,8 @@ def _count(records, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def attribute_to_first_hit(records, paths, row, tile, difference, change, squares):
-    """Add each path's difference, and its square, to change and squares (C, T) of the first entry that it met which has a row there, in the path's tile.
+    """Add each path's difference, and its square, to change and squares (C, T) of the first entry that it met which has
+    a row there, in the path's tile.
 
     paths: (D,) rows of records (P, RECORD). row: (A,) of each entry, -1: none. tile, difference: (D,).
     """

@@ -1,4 +1,5 @@
-"""Coarse tiles of the picture: a change is bounded in the mean of all and in the worst of them, for a lost shadow is local."""
+"""Coarse tiles of the picture: a change is bounded in the mean of all and in the worst of them, for a lost shadow is
+local."""
 
 from __future__ import annotations
 
@@ -27,5 +28,6 @@ def tile_means(picture: F32) -> F64:
 
 
 def marks(samples: I64, height: int, width: int) -> NDArray[np.uint8]:
-    """(height, width, S) 1 for each of so many paths per pixel, (TILES,), in each tile: the first ones of S, the most that a tile has."""
+    """(height, width, S) 1 for each of so many paths per pixel, (TILES,), in each tile: the first ones of S, the most
+    that a tile has."""
     return (np.arange(int(samples.max())) < samples[tiles_of(height, width)][..., None]).astype(np.uint8)

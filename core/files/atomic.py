@@ -1,4 +1,5 @@
-"""Files that are whole or not there: written under another name and put in place at once, and looked at before they count as finished."""
+"""Files that are whole or not there: written under another name and put in place at once, and looked at before they
+count as finished."""
 
 from __future__ import annotations
 
@@ -24,9 +25,11 @@ _LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path to write to, in the same folder and with the same suffix, that takes the place of `path` when the block ends without an error.
+    """A path to write to, in the same folder and with the same suffix, that takes the place of `path` when the block
+    ends without an error.
 
-    The file is there, empty, and no other process or link has its name. Raises OSError where what was written is not whole or does not reach the disk.
+    The file is there, empty, and no other process or link has its name. Raises OSError where what was written is not
+    whole or does not reach the disk.
     """
     with _new_part(path) as part:
         yield part
@@ -39,7 +42,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _new_part(path: Path) -> Iterator[Path]:
-    """A file of ours beside path, which is gone at the end. It is locked meanwhile: that tells others that somebody is at work."""
+    """A file of ours beside path, which is gone at the end. It is locked meanwhile: that tells others that somebody is
+    at work."""
     name = f".{path.stem}.{secrets.token_hex(8)}"
     new, part = path.with_name(f"{name}.new{path.suffix}"), path.with_name(f"{name}.part{path.suffix}")
     handle = os.open(new, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
@@ -65,7 +69,8 @@ def check_writable(folder: Path) -> None:
 
 
 def sweep(folder: Path, stems: set[str]) -> None:
-    """Remove what processes that were killed had begun to write in a folder, of files of these names without their endings."""
+    """Remove what processes that were killed had begun to write in a folder, of files of these names without their
+    endings."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             found = _PART.fullmatch(entry.name)
@@ -89,7 +94,8 @@ def _is_left(part: str) -> bool:
 
 
 def _lock(handle: int, wait: bool) -> bool:
-    """Lock an open file or folder until it is closed. False where another process has it, or where the file system knows no locks."""
+    """Lock an open file or folder until it is closed. False where another process has it, or where the file system
+    knows no locks."""
     if os.name == "nt":
         return True
     import fcntl
@@ -126,8 +132,15 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a file is there from its first to its last byte: .exr, .png, .npz, .json and .blend by what is in them, others by not being empty."""
-    check = {".exr": _whole_exr, ".png": _whole_png, ".npz": _whole_npz, ".json": _whole_json, ".blend": _whole_blend}.get(path.suffix.lower())
+    """Whether a file is there from its first to its last byte: .exr, .png, .npz, .json and .blend by what is in them,
+    others by not being empty."""
+    check = {
+        ".exr": _whole_exr,
+        ".png": _whole_png,
+        ".npz": _whole_npz,
+        ".json": _whole_json,
+        ".blend": _whole_blend,
+    }.get(path.suffix.lower())
     try:
         if not path.is_file() or path.stat().st_size == 0:
             return False
@@ -155,7 +168,8 @@ def _whole_png(file: IO[bytes], size: int) -> bool:
 
 
 def _whole_exr(file: IO[bytes], size: int) -> bool:
-    """All chunks of scan lines are where the table says, each with its line, and within the file (OpenEXR file layout). Other kinds: their beginning."""
+    """All chunks of scan lines are where the table says, each with its line, and within the file (OpenEXR file layout).
+    Other kinds: their beginning."""
     magic, version = struct.unpack("<II", file.read(8))
     if magic != _EXR:
         return False

@@ -1,6 +1,7 @@
 """What the commands leave behind: report.json, states per frame, and the table at the end.
 
-All files are written under another name and put in place at once (`files`), so whoever reads meets a whole file, also after a crash or Ctrl-C.
+All files are written under another name and put in place at once (`files`), so whoever reads meets a whole file, also
+after a crash or Ctrl-C.
 """
 
 from __future__ import annotations
@@ -56,7 +57,12 @@ def _is_report(data: dict[str, Any]) -> bool:
         and isinstance(totals.get("peak_bytes"), int)
         and all(isinstance(part, list) and all(isinstance(line, str) for line in part) for part in lines)
         and isinstance(frames, list)
-        and all(isinstance(f, dict) and isinstance(f.get("frame"), int) and all(isinstance(f.get(name), int | float) for name in FIELDS) for f in frames)
+        and all(
+            isinstance(f, dict)
+            and isinstance(f.get("frame"), int)
+            and all(isinstance(f.get(name), int | float) for name in FIELDS)
+            for f in frames
+        )
     )
 
 
@@ -66,7 +72,9 @@ def output_folder(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
         check_writable(path)
     except OSError as error:
-        raise InputError(f"cannot write to the output folder {path}: {error.strerror or error}; choose another with -o") from error
+        raise InputError(
+            f"cannot write to the output folder {path}: {error.strerror or error}; choose another with -o"
+        ) from error
     return path
 
 
@@ -74,15 +82,16 @@ def output_folder(path: Path) -> Path:
 class Report:
     """report.json of one command.
 
-    Header fields as in the file; options: whatever else the results depend on, by name, plain values. frames: one dict per frame that this command finished,
-    with `FIELDS` and where measured `error`; missing fields count as 0. approximated: what the engine renders differently from Blender; warnings: other lines
-    for the user. Both without repetitions, in order of appearance.
+    Header fields as in the file; options: whatever else the results depend on, by name, plain values. frames: one dict
+    per frame that this command finished, with `FIELDS` and where measured `error`; missing fields count as 0.
+    approximated: what the engine renders differently from Blender; warnings: other lines for the user. Both without
+    repetitions, in order of appearance.
 
-    broken: a verification found that a frame's change is above its budget. began: `time.monotonic()` when the command began, None where its seconds are those
-    of its steps alone.
+    broken: a verification found that a frame's change is above its budget. began: `time.monotonic()` when the command
+    began, None where its seconds are those of its steps alone.
 
-    A folder may be filled by several commands, one after the other or at the same time: the file keeps the frames of all that had the same header, but for
-    the number of threads.
+    A folder may be filled by several commands, one after the other or at the same time: the file keeps the frames of
+    all that had the same header, but for the number of threads.
     """
 
     scene: str
@@ -121,7 +130,8 @@ class Report:
         return 3 if self.broken else 0
 
     def totals(self, frames: Sequence[dict[str, Any]] | None = None) -> dict[str, Any]:
-        """Sums over frames, by default this command's, of seconds and of work done, the largest of bytes held, and the process's peak memory (0: unknown).
+        """Sums over frames, by default this command's, of seconds and of work done, the largest of bytes held, and the
+        process's peak memory (0: unknown).
 
         wall_s: seconds from the command's begin until now, all that it did included.
         """
@@ -134,16 +144,27 @@ class Report:
         """From the command's begin until now; without that, of the steps of its frames, what overlaps counted once."""
         if self.began is not None:
             return time.monotonic() - self.began
-        return float(sum(f.get(name, 0.0) for f in self.frames for name in (*SECONDS, "verify_s")) - sum(f.get("overlap_s", 0.0) for f in self.frames))
+        return float(
+            sum(f.get(name, 0.0) for f in self.frames for name in (*SECONDS, "verify_s"))
+            - sum(f.get("overlap_s", 0.0) for f in self.frames)
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """The contents of report.json, of this command alone."""
         header = {name: getattr(self, name) for name in (*HEADER, "threads")}
         lines = {"approximated": self.approximated, "warnings": self.warnings}
-        return {"schema": SCHEMA, **header, "frames": self.frames, "totals": self.totals(), **lines, "options": self.options}
+        return {
+            "schema": SCHEMA,
+            **header,
+            "frames": self.frames,
+            "totals": self.totals(),
+            **lines,
+            "options": self.options,
+        }
 
     def other_options(self, folder: Path) -> list[str]:
-        """Names of what differs between this command and the report in a folder; empty where that is of the same kind, or where there is none."""
+        """Names of what differs between this command and the report in a folder; empty where that is of the same kind,
+        or where there is none."""
         found = _found(folder)
         return [] if found is None else self._differences(found)
 
@@ -153,17 +174,25 @@ class Report:
         return None if found is None or self._differences(found) else {frame["frame"] for frame in found["frames"]}
 
     def write(self, folder: Path) -> None:
-        """Write folder/report.json: the frames that it has already, where it is of the same kind, and this command's. Another is kept beside."""
+        """Write folder/report.json: the frames that it has already, where it is of the same kind, and this command's.
+        Another is kept beside."""
         with alone(folder):
             data, found = self.as_dict(), _found(folder)
             if (found is None or self._differences(found)) and (found is None or found["frames"]):
                 _keep_beside(folder / "report.json")
             if found is not None and not self._differences(found):
                 own = {frame["frame"] for frame in self.frames}
-                data["frames"] = sorted([*(f for f in found["frames"] if f["frame"] not in own), *self.frames], key=lambda f: int(f["frame"]))
+                data["frames"] = sorted(
+                    [*(f for f in found["frames"] if f["frame"] not in own), *self.frames],
+                    key=lambda f: int(f["frame"]),
+                )
                 totals = self.totals(data["frames"])
-                spent = found["totals"].get("wall_s", 0.0) + data["totals"]["wall_s"] - self._counted  # what this command spent since it last wrote
-                data["totals"] = totals | {"wall_s": spent, "peak_bytes": max(totals["peak_bytes"], found["totals"]["peak_bytes"])}
+                # what this command spent since it last wrote
+                spent = found["totals"].get("wall_s", 0.0) + data["totals"]["wall_s"] - self._counted
+                data["totals"] = totals | {
+                    "wall_s": spent,
+                    "peak_bytes": max(totals["peak_bytes"], found["totals"]["peak_bytes"]),
+                }
                 for name in ("approximated", "warnings"):
                     data[name] = list(dict.fromkeys([*found[name], *data[name]]))
             self._counted = self.seconds()
@@ -177,7 +206,19 @@ class Report:
 
     def table(self) -> str:
         """Frames and totals as text."""
-        head = ("frame", "instances", "active", "hitboxes", "BLAS", "TLAS", "sync", "build", "trace", "write-back", "render")
+        head = (
+            "frame",
+            "instances",
+            "active",
+            "hitboxes",
+            "BLAS",
+            "TLAS",
+            "sync",
+            "build",
+            "trace",
+            "write-back",
+            "render",
+        )
         rows = [
             (
                 str(f["frame"]),
@@ -189,7 +230,8 @@ class Report:
         ]
         totals = self.totals()
         everything = totals["wall_s"]
-        last = f"{everything:.1f} s in all, of which {min(totals['render_s'], everything):.1f} s rendering"  # what two threads do at a time counts twice there
+        # what two threads do at a time counts twice there
+        last = f"{everything:.1f} s in all, of which {min(totals['render_s'], everything):.1f} s rendering"
         if totals["verify_s"]:
             last += f", {totals['verify_s']:.1f} s verifying"
         peak = f"; peak memory {size(totals['peak_bytes'])}" if totals["peak_bytes"] else ""
@@ -200,18 +242,25 @@ class Report:
         out = []
         measured = f"the same in crops, rendered by {self.engine or 'path'}"
         sure = min((f["confidence"] for f in self.frames if "confidence" in f), default=0.0)
-        for kind, text in (("certified", f"with {100 * sure:.0f} % confidence the picture changes by no more than"), ("verified", measured)):
+        for kind, text in (
+            ("certified", f"with {100 * sure:.0f} % confidence the picture changes by no more than"),
+            ("verified", measured),
+        ):
             found = [f for f in self.frames if f"{kind}_mean" in f]
             if found:
                 mean, worst = (max(f[f"{kind}_{what}"] for f in found) for what in ("mean", "worst"))
-                out.append(f"{text}: {100 * mean:.2g} % in the mean, {100 * worst:.2g} % in the worst tile" + (" (of all frames)" if len(found) > 1 else ""))
+                out.append(
+                    f"{text}: {100 * mean:.2g} % in the mean, {100 * worst:.2g} % in the worst tile"
+                    + (" (of all frames)" if len(found) > 1 else "")
+                )
         return out
 
 
 @dataclass(frozen=True)
 class States:
-    """The states of a frame's instances, as `save_states` writes them. keys: kind (N,), host (N,), object (N,) and path (N, depth) by name. faces: by name of
-    an object, (F,) bool, those of its mesh that stay; of others that stay all do."""
+    """The states of a frame's instances, as `save_states` writes them. keys: kind (N,), host (N,), object (N,) and path
+    (N, depth) by name. faces: by name of an object, (F,) bool, those of its mesh that stay; of others that stay all
+    do."""
 
     state: U8
     score: F32
@@ -235,12 +284,14 @@ def save_states(
 ) -> None:
     """Write the states of a frame (states/frame_0001.npz).
 
-    state (N,), score (N,), hits (N, RAY_TYPES), as in `core.culling.result.CullingResult`; key_kind, key_host, key_object (N,) and key_path (N, depth) are the
-    fields of `lipac_addon.keys.KEY`, the path without the columns that no instance uses; names: strings that host and object index, those that are used,
-    sorted, so that a frame's file is the same whatever other frames were looked at. Integers have the smallest type that holds them. note: a text to keep
+    state (N,), score (N,), hits (N, RAY_TYPES), as in `core.culling.result.CullingResult`; key_kind, key_host,
+    key_object (N,) and key_path (N, depth) are the fields of `lipac_addon.keys.KEY`, the path without the columns that
+    no instance uses; names: strings that host and object index, those that are used, sorted, so that a frame's file is
+    the same whatever other frames were looked at. Integers have the smallest type that holds them. note: a text to keep
     with it.
-    boxes: (H, 2, 3) world boxes that stand in for what is culled. faces: as in `States`; in the file face_names (K,), face_counts (K,) and face_bits, packed.
-    Not compressed: at a million instances that would take longer than the analysis.
+    boxes: (H, 2, 3) world boxes that stand in for what is culled. faces: as in `States`; in the file face_names (K,),
+    face_counts (K,) and face_bits, packed. Not compressed: at a million instances that would take longer than the
+    analysis.
     """
     depth = int((keys["path"] >= 0).any(axis=0).sum()) if len(keys) else 0
     host, ob, used = _renamed(keys["host"], keys["object"], names)
@@ -262,7 +313,8 @@ def save_states(
         arrays["face_bits"] = np.packbits(np.concatenate(list(faces.values())))
     if note:
         arrays["note"] = np.array(note)
-    archive = io.BytesIO()  # in memory first: a ZipFile that cannot write to a full disk complains again where it is freed, on Python 3.11
+    # in memory first: a ZipFile that cannot write to a full disk complains again where it is freed, on Python 3.11
+    archive = io.BytesIO()
     np.savez(archive, **arrays)
     with replacing(path) as part:
         part.write_bytes(archive.getbuffer())
@@ -282,7 +334,8 @@ def load_states(path: Path) -> States:
 
 
 def _renamed(host: I32, ob: I32, names: Sequence[str]) -> tuple[I32, I32, list[str]]:
-    """host and ob, (N,) indices into names (-1: none), as indices into the sorted list of those names that they use; and that list."""
+    """host and ob, (N,) indices into names (-1: none), as indices into the sorted list of those names that they use;
+    and that list."""
     count = np.bincount(host[host >= 0], minlength=len(names)) + np.bincount(ob[ob >= 0], minlength=len(names))
     used = sorted(np.flatnonzero(count).tolist(), key=lambda n: names[n])
     place = np.full(len(names) + 1, -1, np.int32)  # the last is that of -1

@@ -1,13 +1,15 @@
 """From passes of a raster and light paths to one picture.
 
-The raster shows every instance; the light that paths bring to its hits comes from what is built alone. Shadows of lamps are traced where the blocker is built.
-Where it is culled, the raster's shadow maps know: they tell which share v of a lamp's light arrives at all, and paths tell which share meets nothing that is
-built and crosses no box of what is culled (clear), which crosses such a box (maybe), and which something built blocks (blocked). Only the light that crosses
-boxes is in doubt, so the raster decides over it alone:
+The raster shows every instance; the light that paths bring to its hits comes from what is built alone. Shadows of lamps
+are traced where the blocker is built. Where it is culled, the raster's shadow maps know: they tell which share v of a
+lamp's light arrives at all, and paths tell which share meets nothing that is built and crosses no box of what is culled
+(clear), which crosses such a box (maybe), and which something built blocks (blocked). Only the light that crosses boxes
+is in doubt, so the raster decides over it alone:
 
     clear + s maybe = v (clear + maybe + blocked),  0 <= s <= 1
 
-With nothing culled there is no doubt, and shadows are exactly the traced ones; with everything culled they are exactly the raster's.
+With nothing culled there is no doubt, and shadows are exactly the traced ones; with everything culled they are exactly
+the raster's.
 """
 
 from __future__ import annotations
@@ -32,19 +34,30 @@ from ..tracing import path_state
 from .modes import MODES
 
 MOST_BOXES = 1 << 17  # before lamps: 14 MB of them, built in a fifth of a second
-SURE, UNSURE = 0.02, 0.03  # limits of the certified error between which the picture fades to the mixture with the raster (linear ramp)
+# limits of the certified error between which the picture fades to the mixture with the raster (linear ramp)
+SURE, UNSURE = 0.02, 0.03
 CELL = 4  # pixels of an analysis' picture, each way, that are compared as one
-DEVIATIONS = 2.0  # confidence multiplier (sigma): by so many standard errors a share of paths may be too large by chance
+DEVIATIONS = (
+    2.0  # confidence multiplier (sigma): by so many standard errors a share of paths may be too large by chance
+)
 
 
 def with_mode(scene: Scene, mode: str) -> Scene:
-    """The scene with the bounces of a mode: all of the scene's own; one bounce of each kind; reflections and refractions but no diffuse bounce.
+    """The scene with the bounces of a mode: all of the scene's own; one bounce of each kind; reflections and
+    refractions but no diffuse bounce.
 
-    Light of lamps, emitters and sky at a hit does not count as a bounce. With "none" nothing is traced. Raises InputError for an unknown mode.
+    Light of lamps, emitters and sky at a hit does not count as a bounce. With "none" nothing is traced. Raises
+    InputError for an unknown mode.
     """
     limits = scene.limits
     if mode == "diffuse-1":
-        limits = dataclasses.replace(limits, total=min(limits.total, 2), diffuse=min(limits.diffuse, 1), glossy=min(limits.glossy, 1), transmission=2)
+        limits = dataclasses.replace(
+            limits,
+            total=min(limits.total, 2),
+            diffuse=min(limits.diffuse, 1),
+            glossy=min(limits.glossy, 1),
+            transmission=2,
+        )
     elif mode == "reflections":
         limits = dataclasses.replace(limits, diffuse=0)
     elif mode not in MODES:
@@ -53,7 +66,8 @@ def with_mode(scene: Scene, mode: str) -> Scene:
 
 
 def boxes_before_lamps(bounds: F32, culled: NDArray[np.bool_], most: int = MOST_BOXES) -> F32:
-    """World boxes (B, 2, 3) float32 that stand for culled, (N,) bool, instances on the way to a lamp; bounds: (N, 2, 3). What crosses none is in no doubt.
+    """World boxes (B, 2, 3) float32 that stand for culled, (N,) bool, instances on the way to a lamp; bounds: (N, 2,
+    3). What crosses none is in no doubt.
 
     Each instance has its own; where there are more than `most`, so many neighbours share one that there are not.
     """
@@ -65,34 +79,41 @@ def boxes_before_lamps(bounds: F32, culled: NDArray[np.bool_], most: int = MOST_
 
 
 def in_question(result: CullingResult) -> float:
-    """How far a raster without any path might be nearer to the truth than a picture without what is culled: 0 where that has hardly changed, 1 where it has
-    changed much or nobody measured how much; between SURE and UNSURE in proportion, so that frames of a shot do not jump."""
+    """How far a raster without any path might be nearer to the truth than a picture without what is culled: 0 where
+    that has hardly changed, 1 where it has changed much or nobody measured how much; between SURE and UNSURE in
+    proportion, so that frames of a shot do not jump."""
     if not len(result.boxes):
         return 0.0
     return float(np.clip((result.stats.get("certified_mean", np.inf) - SURE) / (UNSURE - SURE), 0.0, 1.0))
 
 
 def reference(scene: Scene, options: CullOptions, cancelled: Callable[[], bool]) -> F32:
-    """Luminance (h, w) float32 of the picture with nothing culled that light paths ask for, of the size of an analysis by these options; by other random
-    numbers than theirs, so that its noise is not the picture's. Raises Cancelled."""
-    whole = dataclasses.replace(options, policy="light-paths", min_share=None, blas_budget_bytes=0, blas_budget_ms=0.0, seed=options.seed ^ 1)
+    """Luminance (h, w) float32 of the picture with nothing culled that light paths ask for, of the size of an analysis
+    by these options; by other random numbers than theirs, so that its noise is not the picture's. Raises Cancelled."""
+    whole = dataclasses.replace(
+        options, policy="light-paths", min_share=None, blas_budget_bytes=0, blas_budget_ms=0.0, seed=options.seed ^ 1
+    )
     measured = Loop(scene, whole, cancelled).run()
     return (measured.log.luminance.mean(axis=2) * np.float32(scene.film.exposure)).astype(np.float32)
 
 
 def share_of_paths(truth: F32, picture: F32, raster: F32) -> float:
-    """The share w, 0 to 1, by which w picture + (1 - w) raster is nearest to the truth. truth: (h, w) luminance, noisy; the others (H, W, 3 or more), at
-    least as large.
+    """The share w, 0 to 1, by which w picture + (1 - w) raster is nearest to the truth. truth: (h, w) luminance, noisy;
+    the others (H, W, 3 or more), at least as large.
 
-    Weighted least squares (weights of relMSE) of means over CELL x CELL pixels of the truth, whose noise is all but gone there. The error of such a mixture is
-    a parabola over w: at its bottom at most that of either picture, and up to twice as far from 0 as the bottom at most the raster's. The bottom is known to
-    its standard error (White, "A Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 1980), and lies DEVIATIONS of them lower in the worst
-    case; w is no more than twice that: so the mixture is not worse than the raster by chance.
+    Weighted least squares (weights of relMSE) of means over CELL x CELL pixels of the truth, whose noise is all but
+    gone there. The error of such a mixture is a parabola over w: at its bottom at most that of either picture, and up
+    to twice as far from 0 as the bottom at most the raster's. The bottom is known to its standard error (White, "A
+    Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 1980), and lies DEVIATIONS of them lower in
+    the worst case; w is no more than twice that: so the mixture is not worse than the raster by chance.
 
-    A function of the frame alone, and continuous: pictures that change little from frame to frame are shown by shares that do.
+    A function of the frame alone, and continuous: pictures that change little from frame to frame are shown by shares
+    that do.
     """
     rows, columns = (-(-n // CELL) for n in truth.shape)
-    true, ours, theirs = (_cells(p if p.ndim == 2 else p[..., :3] @ LUMINANCE, rows, columns) for p in (truth, picture, raster))
+    true, ours, theirs = (
+        _cells(p if p.ndim == 2 else p[..., :3] @ LUMINANCE, rows, columns) for p in (truth, picture, raster)
+    )
     weight = 1 / (_around(true) ** 2 + 0.01)  # of cells around: a cell's own noise must not choose its weight
     apart, wanted = ours - theirs, true - theirs
     square = float((weight * apart**2).sum())
@@ -136,7 +157,8 @@ def added(total: Picture | None, picture: Picture) -> Picture:
 class Light:
     """Mean light, (H, W, 3) float32 each, linear, rows bottom up.
 
-    straight: emission and background seen directly. clear, maybe: of lamps, at the first hit. indirect: all other light. alpha: (H, W).
+    straight: emission and background seen directly. clear, maybe: of lamps, at the first hit. indirect: all other
+    light. alpha: (H, W).
     sampled: (H, W, 3), luminance of lamp samples at the first hit: clear, maybe, blocked.
     """
 
@@ -152,17 +174,29 @@ class Light:
         """From a picture with parts, of one pass or of all (`added`)."""
         assert picture.parts is not None
         total, part = picture.mean, picture.parts / np.float32(picture.samples)
-        straight, clear, maybe = (part[..., at : at + 3] for at in (path_state.STRAIGHT, path_state.CLEAR, path_state.MAYBE))
+        straight, clear, maybe = (
+            part[..., at : at + 3] for at in (path_state.STRAIGHT, path_state.CLEAR, path_state.MAYBE)
+        )
         indirect = np.maximum(total[..., :3] - straight - clear - maybe, np.float32(0))
-        return Light(straight, clear, maybe, indirect, total[..., 3], part[..., path_state.SAMPLED_CLEAR : path_state.SAMPLED_BLOCKED + 1])
+        return Light(
+            straight,
+            clear,
+            maybe,
+            indirect,
+            total[..., 3],
+            part[..., path_state.SAMPLED_CLEAR : path_state.SAMPLED_BLOCKED + 1],
+        )
 
     def doubt(self, visible: F32 | None) -> F32:
-        """s (H, W): the share of `maybe` that arrives, where the share `visible` (H, W) of the lamps' light does; all of it where no raster says."""
+        """s (H, W): the share of `maybe` that arrives, where the share `visible` (H, W) of the lamps' light does; all
+        of it where no raster says."""
         clear, maybe, blocked = np.moveaxis(self.sampled, 2, 0)
         if visible is None:
             return np.ones_like(maybe)
         wanted = visible * (clear + maybe + blocked) - clear
-        return np.where(maybe > 0, np.clip(wanted / np.maximum(maybe, np.float32(1e-20)), 0, 1), np.float32(1)).astype(np.float32)
+        return np.where(maybe > 0, np.clip(wanted / np.maximum(maybe, np.float32(1e-20)), 0, 1), np.float32(1)).astype(
+            np.float32
+        )
 
     def lamps(self, visible: F32 | None) -> F32:
         """Light of lamps at the first hit, (H, W, 3), shadows of built and of culled instances applied."""

@@ -19,10 +19,18 @@ _HALF, _ONE, _ZERO = np.float32(0.5), np.float32(1.0), np.float32(0.0)
 
 
 def guides(table: SceneTable, primary: FirstHitBuffer) -> F32:
-    """(H, W, GUIDES) float32 of one pass of first hits; the mean of all passes is filtered as the picture is. table: of the scene that they lie in."""
+    """(H, W, GUIDES) float32 of one pass of first hits; the mean of all passes is filtered as the picture is. table: of
+    the scene that they lie in."""
     hits = primary.hits.view(np.int32).reshape(*primary.hits.shape, 4)
     out = np.zeros((*primary.hits.shape, GUIDES), np.float32)
-    _fill(hits, hits.view(np.float32), camera_constants(primary.camera), table.table, np.uint64(address(primary.meshes.table)), out)
+    _fill(
+        hits,
+        hits.view(np.float32),
+        camera_constants(primary.camera),
+        table.table,
+        np.uint64(address(primary.meshes.table)),
+        out,
+    )
     return out
 
 
@@ -43,7 +51,13 @@ def _fill(hits, values, camera, table, meshes, out):
             triangle, b1, b2 = np.int64(hits[y, x, 1]), values[y, x, 2], values[y, x, 3]
             mesh = mesh_record(meshes, table, instance)
             interpolate(mesh, table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, surf, frame)
-            _, _, _, dx, dy, dz, _ = camera_ray(camera, (np.float32(x) + _HALF) / np.float32(width), (np.float32(y) + _HALF) / np.float32(height), _ZERO, _ZERO)
+            _, _, _, dx, dy, dz, _ = camera_ray(
+                camera,
+                (np.float32(x) + _HALF) / np.float32(width),
+                (np.float32(y) + _HALF) / np.float32(height),
+                _ZERO,
+                _ZERO,
+            )
             face(frame, dx, dy, dz)
             material_inputs(table, mesh, material_of(table, mesh, instance, triangle), triangle, b1, b2, params)
             for k in range(3):

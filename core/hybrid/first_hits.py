@@ -1,8 +1,9 @@
-"""First hits that something else than the path tracer has found: a raster of the whole scene, culled instances included, or rays over everything.
+"""First hits that something else than the path tracer has found: a raster of the whole scene, culled instances
+included, or rays over everything.
 
-A pass over the picture is a pinhole camera with one hit per pixel centre. Anti-aliasing and depth of field come from many passes, each with a camera
-jittered by the pixel filter and over the lens (Haeberli, Akeley, "The Accumulation Buffer", SIGGRAPH 1990): every path starts at one exact hit, never at
-a mean of several.
+A pass over the picture is a pinhole camera with one hit per pixel centre. Anti-aliasing and depth of field come from
+many passes, each with a camera jittered by the pixel filter and over the lens (Haeberli, Akeley, "The Accumulation
+Buffer", SIGGRAPH 1990): every path starts at one exact hit, never at a mean of several.
 """
 
 from __future__ import annotations
@@ -27,10 +28,11 @@ _CAMERA_MASK = np.uint32(1 << RayType.CAMERA)
 
 
 def pass_camera(camera: Camera, film: Film, size: tuple[int, int], index: int, count: int) -> Camera:
-    """The camera of pass `index` of `count`: moved by a point of the lens, its picture (of size, width and height) by an offset of the pixel filter.
+    """The camera of pass `index` of `count`: moved by a point of the lens, its picture (of size, width and height) by
+    an offset of the pixel filter.
 
-    The points are a rank-1 sequence over filter and lens (Roberts's generalised golden ratio): a few passes cover both evenly. A single pass is the camera
-    itself. Orthographic cameras are taken without depth of field.
+    The points are a rank-1 sequence over filter and lens (Roberts's generalised golden ratio): a few passes cover both
+    evenly. A single pass is the camera itself. Orthographic cameras are taken without depth of field.
     """
     if count == 1:
         return dataclasses.replace(camera, aperture=0.0)
@@ -43,7 +45,8 @@ def pass_camera(camera: Camera, film: Film, size: tuple[int, int], index: int, c
         step = (frame[2 * axis + 1] - frame[2 * axis]) / size[axis]
         frame[2 * axis : 2 * axis + 2] += float(filter_offset(table, np.float32(u[axis]))) * step
         if not camera.orthographic:
-            frame[2 * axis : 2 * axis + 2] -= lens[axis] / camera.focus  # what lies at the distance of focus stays where it is
+            # what lies at the distance of focus stays where it is
+            frame[2 * axis : 2 * axis + 2] -= lens[axis] / camera.focus
     to_world = camera.to_world.copy()
     if not camera.orthographic:
         to_world[:, 3] += to_world[:, :2] / np.linalg.norm(to_world[:, :2], axis=0) @ lens
@@ -59,14 +62,18 @@ def _sequence(index: int, dimensions: int) -> F64:
 
 
 def in_view(scene: Scene, margin: float = 0.05) -> NDArray[np.bool_]:
-    """Instances that camera rays may see: (N,) bool. Visible to them, and the box is not wholly beyond one side of the view, widened by margin (a share of half
-    the picture) and by the lens: so no pass of `pass_camera` sees another."""
+    """Instances that camera rays may see: (N,) bool. Visible to them, and the box is not wholly beyond one side of the
+    view, widened by margin (a share of half the picture) and by the lens: so no pass of `pass_camera` sees another."""
     instances, camera = scene.instances, scene.camera
-    if camera.aperture and not camera.orthographic:  # a pass that sees through the edge of the lens has its picture shifted
+    # a pass that sees through the edge of the lens has its picture shifted
+    if camera.aperture and not camera.orthographic:
         shift = camera.aperture / camera.focus
         camera = dataclasses.replace(camera, frame=camera.frame + np.array([-shift, shift, -shift, shift]))
     matrix, _ = projection(camera)
-    planes = np.concatenate([(1 + margin) * matrix[3] + sign * matrix[axis] for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1))] + [matrix[3] + matrix[2]])
+    planes = np.concatenate(
+        [(1 + margin) * matrix[3] + sign * matrix[axis] for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1))]
+        + [matrix[3] + matrix[2]]
+    )
     planes = planes.reshape(-1, 4)
     seen = (instances.flags & _CAMERA_MASK) != 0
     for a in range(0, len(instances), BLOCK):
@@ -79,8 +86,11 @@ def in_view(scene: Scene, margin: float = 0.05) -> NDArray[np.bool_]:
     return seen
 
 
-def trace_primary(tlas: Tlas, meshes: MeshTable, camera: Camera, size: tuple[int, int], mesh_of: np.ndarray) -> FirstHitBuffer:
-    """First hits by rays over a TLAS, for machines without a raster. size: width and height. mesh_of: (N,) mesh of every instance."""
+def trace_primary(
+    tlas: Tlas, meshes: MeshTable, camera: Camera, size: tuple[int, int], mesh_of: np.ndarray
+) -> FirstHitBuffer:
+    """First hits by rays over a TLAS, for machines without a raster. size: width and height. mesh_of: (N,) mesh of
+    every instance."""
     hits = np.zeros((size[1], size[0]), HIT)
     flat = hits.view(np.int32).reshape(size[1], size[0], 4)
     _trace_primary(tlas.handle, tlas.ids, tlas.first, camera_constants(camera), flat, flat.view(np.float32))

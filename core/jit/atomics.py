@@ -13,7 +13,8 @@ from numba.np.arrayobj import make_array
 
 @intrinsic
 def atomic_add(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    """array[index] += value, atomically; index a tuple of integers or an integer; array of any integer dtype. Returns nothing.
+    """array[index] += value, atomically; index a tuple of integers or an integer; array of any integer dtype. Returns
+    nothing.
 
     Monotonic order is enough: kernels only add, and are joined before anyone reads.
     """
@@ -39,7 +40,9 @@ def atomic_add_int64(typingctx: Any, address: Any, value: Any) -> Any:
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         address_type, value_type = signature.args
-        pointer = builder.inttoptr(context.cast(builder, args[0], address_type, types.uint64), ir.IntType(64).as_pointer())
+        pointer = builder.inttoptr(
+            context.cast(builder, args[0], address_type, types.uint64), ir.IntType(64).as_pointer()
+        )
         builder.atomic_rmw("add", pointer, context.cast(builder, args[1], value_type, types.int64), "monotonic")
         return context.get_dummy_value()
 

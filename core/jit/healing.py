@@ -1,7 +1,9 @@
-"""numba's cache on disk, made safe against damage: a kernel whose file is not as it was written is compiled again; one that cannot be written is not kept.
+"""numba's cache on disk, made safe against damage: a kernel whose file is not as it was written is compiled again; one
+that cannot be written is not kept.
 
-numba trusts its files: one that was cut off or changed breaks every later process, or is run as it is. Files in our own cache folder begin with a check sum.
-Other caches of the process are numba's own affair. Imported for its effect, before kernels are loaded.
+numba trusts its files: one that was cut off or changed breaks every later process, or is run as it is. Files in our own
+cache folder begin with a check sum. Other caches of the process are numba's own affair. Imported for its effect, before
+kernels are loaded.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Where compiled kernels are kept: in a folder of the user's, one for every state of the engine's sources.
 
-numba looks at the file of a cached function, not at the files of the functions it calls: after an upgrade a kernel would go on with the old inner functions.
+numba looks at the file of a cached function, not at the files of the functions it calls: after an upgrade a kernel
+would go on with the old inner functions.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ _MARK = ".lipac-kernels"  # a file in every folder that is ours to remove
 
 
 def user_cache() -> Path:
-    """The user's folder for what programs can make again; LIPAC_CACHE_DIR overrides it. Raises RuntimeError where the user has no home."""
+    """The user's folder for what programs can make again; LIPAC_CACHE_DIR overrides it. Raises RuntimeError where the
+    user has no home."""
     given = os.environ.get("LIPAC_CACHE_DIR")
     if given:
         return Path(given)
@@ -39,15 +41,22 @@ def user_cache() -> Path:
 def own_folders(parent: Path) -> list[Path]:
     """Folders of compiled kernels that this program made in parent: no link, with our mark inside."""
     with suppress(OSError):
-        return [path for path in parent.iterdir() if _NAME.fullmatch(path.name) and not path.is_symlink() and (path / _MARK).is_file()]
+        return [
+            path
+            for path in parent.iterdir()
+            if _NAME.fullmatch(path.name) and not path.is_symlink() and (path / _MARK).is_file()
+        ]
     return []
 
 
 def kernel_sources(core: Path) -> list[Path]:
-    """Modules below the folder core that compile kernels, and all that these import from it: their constants become part of the kernels. Sorted."""
+    """Modules below the folder core that compile kernels, and all that these import from it: their constants become
+    part of the kernels. Sorted."""
     text = {path: path.read_text() for path in core.rglob("*.py")}
     found: set[Path] = set()
-    pending = [path for path, source in text.items() if re.search(r"^\s*@(njit|cfunc|intrinsic)\b", source, re.MULTILINE)]
+    pending = [
+        path for path, source in text.items() if re.search(r"^\s*@(njit|cfunc|intrinsic)\b", source, re.MULTILINE)
+    ]
     while pending:
         path = pending.pop()
         if path in text and path not in found:
@@ -57,7 +66,8 @@ def kernel_sources(core: Path) -> list[Path]:
 
 
 def _imported(path: Path, tree: ast.Module) -> Iterator[Path]:
-    """Files that the module of a path may import by relative imports, wherever these stand; some of them may not exist."""
+    """Files that the module of a path may import by relative imports, wherever these stand; some of them may not
+    exist."""
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.level:
             folder = path.parents[node.level - 1].joinpath(*(node.module or "").split("."))
@@ -73,9 +83,11 @@ def kept() -> int:
 
 
 def use(folder: Path | None = None) -> Path | None:
-    """Have numba keep compiled kernels under folder (default `user_cache()`), in a subfolder for these sources. Returns it.
+    """Have numba keep compiled kernels under folder (default `user_cache()`), in a subfolder for these sources. Returns
+    it.
 
-    Must run before kernels are defined. Where it cannot be written they are kept in a temporary folder until the process ends; None where not even there.
+    Must run before kernels are defined. Where it cannot be written they are kept in a temporary folder until the
+    process ends; None where not even there.
     """
     core = Path(__file__).parents[1]
     sources = hashlib.sha256()
@@ -93,7 +105,8 @@ def use(folder: Path | None = None) -> Path | None:
 
 
 def _kept_in(folder: Path | None, name: str) -> Path | None:
-    """The cache of that name in a folder, those of other versions that nobody used for long removed; None where it cannot be written."""
+    """The cache of that name in a folder, those of other versions that nobody used for long removed; None where it
+    cannot be written."""
     try:
         parent = folder or user_cache()
         cache = parent / name

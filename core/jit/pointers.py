@@ -1,7 +1,7 @@
 """Reading NumPy buffers by address inside compiled kernels.
 
-Meshes come and go while kernels keep their types: a kernel gets tables of addresses instead of arrays, so no scene compiles anything again. Whoever
-fills a table keeps the arrays alive.
+Meshes come and go while kernels keep their types: a kernel gets tables of addresses instead of arrays, so no scene
+compiles anything again. Whoever fills a table keeps the arrays alive.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ def _pointer(name: str, element: Any, doc: str) -> Any:
     return intrinsic(typing)
 
 
-# Pointers index like arrays, but own nothing: handing one from function to function counts no references (which costs, and is atomic).
+# Pointers index like arrays, but own nothing: handing one from function to function counts no references (which costs,
+# and is atomic).
 f32_pointer = _pointer("f32_pointer", types.float32, "Pointer to the float32 numbers at an address.")
 f64_pointer = _pointer("f64_pointer", types.float64, "Pointer to the float64 numbers at an address.")
 i32_pointer = _pointer("i32_pointer", types.int32, "Pointer to the int32 numbers at an address.")

@@ -1,7 +1,8 @@
 """Counter-based random numbers and warps of the unit square.
 
-Every number is a hash of (seed, pixel, sample, dimension): no state, so results depend on nothing but these four. The hash is SplitMix64's finaliser
-(Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014), whose 64 bits give two numbers of 24 bits.
+Every number is a hash of (seed, pixel, sample, dimension): no state, so results depend on nothing but these four. The
+hash is SplitMix64's finaliser (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014),
+whose 64 bits give two numbers of 24 bits.
 """
 
 from __future__ import annotations
@@ -13,8 +14,15 @@ import numpy as np
 from numba import njit
 
 # No C wrapper, which nobody calls: faster to compile
-OPTIONS: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
-INNER: dict[str, Any] = OPTIONS | {"no_cpython_wrapper": True}  # only for kernels to call: faster to compile, fatal from Python
+OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "cache": True,
+    "error_model": "numpy",
+    "fastmath": False,
+    "no_cfunc_wrapper": True,
+}
+# only for kernels to call: faster to compile, fatal from Python
+INNER: dict[str, Any] = OPTIONS | {"no_cpython_wrapper": True}
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -67,7 +75,8 @@ def disk(u0, u1):
 
 @njit(**OPTIONS)
 def basis(x, y, z):
-    """Two unit vectors that complete a unit vector to a right-handed frame (Duff et al. 2017): (tx, ty, tz, bx, by, bz)."""
+    """Two unit vectors that complete a unit vector to a right-handed frame (Duff et al. 2017): (tx, ty, tz, bx, by,
+    bz)."""
     s = _ONE if z >= 0.0 else -_ONE
     a = -_ONE / (s + z)
     b = x * y * a
@@ -85,7 +94,8 @@ def sphere(u0, u1):
 
 @njit(**OPTIONS)
 def cone(ax, ay, az, one_minus_cos, u0, u1):
-    """Uniform direction within a cone around the unit axis (ax, ay, az); pdf = 1 / (2 pi one_minus_cos). one_minus_cos keeps narrow cones exact."""
+    """Uniform direction within a cone around the unit axis (ax, ay, az); pdf = 1 / (2 pi one_minus_cos). one_minus_cos
+    keeps narrow cones exact."""
     h = u0 * one_minus_cos
     c = _ONE - h
     s = math.sqrt(max(h * (np.float32(2.0) - h), np.float32(0.0)))
@@ -106,7 +116,8 @@ def normalize(x, y, z):
 
 @njit(**OPTIONS)
 def power_heuristic(a, b):
-    """Weight of the strategy with density `a` against one with density `b` (Veach 1995, beta = 2). Infinite `a` weighs 1."""
+    """Weight of the strategy with density `a` against one with density `b` (Veach 1995, beta = 2). Infinite `a` weighs
+    1."""
     if a > np.float32(1e18):
         return _ONE
     a2 = a * a

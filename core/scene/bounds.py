@@ -1,4 +1,5 @@
-"""World boxes of instances, by the million: (N, 2, 3) float32, least corner first. Empty ones, and those of broken transforms, hold inf or NaN."""
+"""World boxes of instances, by the million: (N, 2, 3) float32, least corner first. Empty ones, and those of broken
+transforms, hold inf or NaN."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ _LARGEST = np.float32(LARGEST)
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def existing(boxes: Any) -> Any:
-    """What can be met: has triangles, and coordinates that are finite and no larger than Embree takes. (N, 2, 3) -> (N,) bool."""
+    """What can be met: has triangles, and coordinates that are finite and no larger than Embree takes. (N, 2, 3) ->
+    (N,) bool."""
     out = np.ones(len(boxes), np.bool_)
     for i in range(len(boxes)):
         for axis in range(3):
@@ -38,14 +40,19 @@ def triangle_boxes(positions: Any, triangles: Any) -> Any:
     out = np.empty((len(triangles), 2, 3), np.float32)
     for t in range(len(triangles)):
         for axis in range(3):
-            a, b, c = positions[triangles[t, 0], axis], positions[triangles[t, 1], axis], positions[triangles[t, 2], axis]
+            a, b, c = (
+                positions[triangles[t, 0], axis],
+                positions[triangles[t, 1], axis],
+                positions[triangles[t, 2], axis],
+            )
             out[t, 0, axis], out[t, 1, axis] = min(a, b, c), max(a, b, c)
     return out
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def enclosing(boxes: Any, run: int) -> Any:
-    """Boxes around each run of so many boxes, the last one perhaps of fewer: (N, 2, 3) -> (ceil(N / run), 2, 3) float32."""
+    """Boxes around each run of so many boxes, the last one perhaps of fewer: (N, 2, 3) -> (ceil(N / run), 2, 3)
+    float32."""
     out = np.empty(((len(boxes) + run - 1) // run, 2, 3), np.float32)
     for i in range(len(boxes)):
         k = i // run
@@ -68,10 +75,11 @@ def _spread(x: Any) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def extended_morton_codes(boxes: Any, bits: int, classes: int) -> Any:
-    """Of the centres of existing boxes, at most 16 bits per axis, below a size class: each is a quarter as large as the one before it, class 0 the largest.
-    (N, 2, 3) -> (N,) uint64.
+    """Of the centres of existing boxes, at most 16 bits per axis, below a size class: each is a quarter as large as the
+    one before it, class 0 the largest. (N, 2, 3) -> (N,) uint64.
 
-    (Vinkler, Bittner, Havran, "Extended Morton Codes for High Performance Bounding Volume Hierarchy Construction", HPG 2017.)
+    (Vinkler, Bittner, Havran, "Extended Morton Codes for High Performance Bounding Volume Hierarchy Construction", HPG
+    2017.)
     """
     half = np.float32(0.5)
     low, high = np.full(3, np.inf, np.float32), np.full(3, -np.inf, np.float32)

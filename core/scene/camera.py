@@ -1,4 +1,5 @@
-"""Primary rays of perspective and orthographic cameras with depth of field, as Cycles makes them (kernel/camera/camera.h)."""
+"""Primary rays of perspective and orthographic cameras with depth of field, as Cycles makes them
+(kernel/camera/camera.h)."""
 
 from __future__ import annotations
 
@@ -12,7 +13,18 @@ from ..jit.sampling import OPTIONS, disk, normalize
 from .model import Camera
 
 CAMERA = 32
-_TO_WORLD, _FRAME, _ORTHO, _NEAR, _FAR, _APERTURE, _FOCUS, _BLADES, _ROTATION, _RATIO = 0, 12, 16, 17, 18, 19, 20, 21, 22, 23
+_TO_WORLD, _FRAME, _ORTHO, _NEAR, _FAR, _APERTURE, _FOCUS, _BLADES, _ROTATION, _RATIO = (
+    0,
+    12,
+    16,
+    17,
+    18,
+    19,
+    20,
+    21,
+    22,
+    23,
+)
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 _TWO_PI = np.float32(2 * math.pi)
 
@@ -33,8 +45,8 @@ def camera_constants(camera: Camera) -> F32:
 
 
 def projection(camera: Camera) -> tuple[F64, F64]:
-    """What a raster needs to see what rays of a pinhole camera meet: (4, 4) float64 world to clip space (OpenGL's), and (4,) float64, the plane that gives a
-    world point's distance along the view, 0 at the camera and 1 at the far end."""
+    """What a raster needs to see what rays of a pinhole camera meet: (4, 4) float64 world to clip space (OpenGL's), and
+    (4,) float64, the plane that gives a world point's distance along the view, 0 at the camera and 1 at the far end."""
     axes = camera.to_world[:, :3] / np.linalg.norm(camera.to_world[:, :3], axis=0)
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = axes.T, -axes.T @ camera.to_world[:, 3]
@@ -77,7 +89,8 @@ def aperture_point(c, u0, u1):
 def camera_ray(c, u, v, lens0, lens1):
     """Ray through the point (u, v) in [0, 1]^2 of the picture, v upward.
 
-    c: `camera_constants`; lens0, lens1: uniform numbers. Returns origin, unit direction and length (clipping applied): 7 float32, world space.
+    c: `camera_constants`; lens0, lens1: uniform numbers. Returns origin, unit direction and length (clipping applied):
+    7 float32, world space.
     """
     x = c[12] + (c[13] - c[12]) * u
     y = c[14] + (c[15] - c[14]) * v
@@ -115,5 +128,7 @@ def camera_ray(c, u, v, lens0, lens1):
     wx = c[0] * ox + c[1] * oy + c[2] * oz + c[3]
     wy = c[4] * ox + c[5] * oy + c[6] * oz + c[7]
     wz = c[8] * ox + c[9] * oy + c[10] * oz + c[11]
-    ex, ey, ez, _ = normalize(c[0] * dx + c[1] * dy + c[2] * dz, c[4] * dx + c[5] * dy + c[6] * dz, c[8] * dx + c[9] * dy + c[10] * dz)
+    ex, ey, ez, _ = normalize(
+        c[0] * dx + c[1] * dy + c[2] * dz, c[4] * dx + c[5] * dy + c[6] * dz, c[8] * dx + c[9] * dy + c[10] * dz
+    )
     return wx, wy, wz, ex, ey, ez, length

@@ -1,4 +1,5 @@
-"""How a frame of a scene differs from the one before: what an animated loop needs to know, so that what did not change is not looked at again."""
+"""How a frame of a scene differs from the one before: what an animated loop needs to know, so that what did not change
+is not looked at again."""
 
 from __future__ import annotations
 
@@ -13,12 +14,15 @@ from ..arrays import I32
 class Change:
     """From one `Scene` to the next of the same file.
 
-    Meshes keep their index from frame to frame: `Scene.meshes` only grows, a mesh that vanished stays as an empty one until its index is given to another.
+    Meshes keep their index from frame to frame: `Scene.meshes` only grows, a mesh that vanished stays as an empty one
+    until its index is given to another.
 
-    previous: (N,) int32 row of each instance in the scene before, -1 for new ones; None: the same rows in the same order.
-    moved: (N,) bool, instances whose transform, bounds, mesh, slots or flags changed (new ones included); None: none is.
-    deformed: (D,) int32 meshes with the same triangles over moved vertices. replaced: (R,) int32 meshes with other triangles, new ones included.
-    shading: materials, textures, lights or world changed. camera: the camera changed.
+    previous: (N,) int32 row of each instance in the scene before, -1 for new ones; None: the same rows in the same
+    order.
+    moved: (N,) bool, instances whose transform, bounds, mesh, slots or flags changed (new ones included); None: none
+    is.
+    deformed: (D,) int32 meshes with the same triangles over moved vertices. replaced: (R,) int32 meshes with other
+    triangles, new ones included. shading: materials, textures, lights or world changed. camera: the camera changed.
     """
 
     previous: I32 | None
@@ -31,4 +35,11 @@ class Change:
     @property
     def still(self) -> bool:
         """Nothing changed at all."""
-        return self.previous is None and self.moved is None and not len(self.deformed) and not len(self.replaced) and not self.shading and not self.camera
+        return (
+            self.previous is None
+            and self.moved is None
+            and not len(self.deformed)
+            and not len(self.replaced)
+            and not self.shading
+            and not self.camera
+        )

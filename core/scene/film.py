@@ -20,9 +20,10 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 class Picture:
     """Sums over samples of one `trace` call.
 
-    sums: (H, W, 4) float32, linear radiance times exposure and alpha, added over `samples` samples; rows bottom up, as in Blender.
-    samples: per pixel. paths, rays: counts of camera paths, and of rays traced in all. parts: (H, W, path_kernel.PARTS) float32, sums of parts of the light,
-    where paths started at given hits.
+    sums: (H, W, 4) float32, linear radiance times exposure and alpha, added over `samples` samples; rows bottom up, as
+    in Blender.
+    samples: per pixel. paths, rays: counts of camera paths, and of rays traced in all. parts: (H, W, path_kernel.PARTS)
+    float32, sums of parts of the light, where paths started at given hits.
     """
 
     sums: F32
@@ -38,9 +39,11 @@ class Picture:
 
 
 def filter_offsets(film: Film) -> F32:
-    """(FILTER_SIZE + 1,) float32: inverse cumulative filter, offset from the pixel centre in pixels at u = i / FILTER_SIZE.
+    """(FILTER_SIZE + 1,) float32: inverse cumulative filter, offset from the pixel centre in pixels at u = i /
+    FILTER_SIZE.
 
-    The separable filters and their widths are Cycles' (scene/film.cpp): sampling by the filter makes every sample weigh the same (Ernst et al. 2006).
+    The separable filters and their widths are Cycles' (scene/film.cpp): sampling by the filter makes every sample weigh
+    the same (Ernst et al. 2006).
     """
     width = film.filter_width
     if film.filter == "BOX":

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..arrays import F32, I32, U32, Records
 
-DIVIDED_FROM = 8192  # triangles of a mesh that is divided into parts: dividing smaller ones costs more time than their memory is worth
+# triangles of a mesh that is divided into parts: dividing smaller ones costs more time than their memory is worth
+DIVIDED_FROM = 8192
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,8 @@ def _padded(positions: F32) -> F32:
 
 
 def loaded(source: Mesh, positions: F32 | None = None) -> Mesh:
-    """A mesh whose arrays Embree and the kernels can read in place. positions: an earlier copy to bring up to date, instead of a new one."""
+    """A mesh whose arrays Embree and the kernels can read in place. positions: an earlier copy to bring up to date,
+    instead of a new one."""
     if positions is None:
         positions = _padded(source.positions)
     else:
@@ -97,7 +99,8 @@ class MeshSequence(Sequence[Mesh]):
 
 
 class MeshTable(MeshSequence):
-    """Meshes in the form that kernels read, without a BLAS; those that are there need not be read again. table: (M,) of MESH."""
+    """Meshes in the form that kernels read, without a BLAS; those that are there need not be read again. table: (M,) of
+    MESH."""
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:
         self._meshes = meshes

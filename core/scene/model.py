@@ -1,7 +1,8 @@
 """What the engine renders: frozen dataclasses of NumPy arrays (structure of arrays).
 
-Coordinates. World space is Blender's (right-handed, Z up, metres), minus `Scene.origin`, which is subtracted in float64 before anything becomes float32;
-so a city at 1e6 m keeps its millimetres. Object space is a mesh's own. Colours are linear Rec.709. Angles are radians.
+Coordinates. World space is Blender's (right-handed, Z up, metres), minus `Scene.origin`, which is subtracted in float64
+before anything becomes float32; so a city at 1e6 m keeps its millimetres. Object space is a mesh's own. Colours are
+linear Rec.709. Angles are radians.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ ALL_RAYS = (1 << RAY_TYPES) - 1
 
 
 class Shading(IntEnum):
-    """Which Cycles' surface models are followed: they changed with Blender 5.3 (Oren-Nayar, coat, layers, tables of GGX)."""
+    """Which Cycles' surface models are followed: they changed with Blender 5.3 (Oren-Nayar, coat, layers, tables of
+    GGX)."""
 
     BLENDER_5_0 = 0
     BLENDER_5_3 = 1
@@ -93,9 +95,11 @@ class InstanceFlag(IntFlag):
 
 
 NO_TEXTURE = -1
-VIEWS = RAY_TYPES + 1  # what a BY_RAY material tells apart: ray types, and light sampling behind them; first of the front, then of the back
+# what a BY_RAY material tells apart: ray types, and light sampling behind them; first of the front, then of the back
+VIEWS = RAY_TYPES + 1
 
-# Records have no padding: their bytes are compared and hashed, and NumPy may leave anything in what belongs to no field.
+# Records have no padding: their bytes are compared and hashed, and NumPy may leave anything in what belongs to no
+# field.
 MATERIAL = np.dtype(
     [
         ("shader", "u4"),
@@ -114,7 +118,8 @@ MATERIAL = np.dtype(
         ("coat_tint", "f4", (3,)),
         ("emission", "f4", (3,)),  # colour times strength, W/m2/sr
         ("normal_strength", "f4"),
-        # Texture indices into Scene.textures, NO_TEXTURE where a socket is not textured. A texture multiplies the value above.
+        # Texture indices into Scene.textures, NO_TEXTURE where a socket is not textured. A texture multiplies the value
+        # above.
         ("base_color_texture", "i4"),
         ("metallic_texture", "i4"),
         ("roughness_texture", "i4"),
@@ -130,8 +135,10 @@ MATERIAL = np.dtype(
         ("mis_emission", "u1"),  # 1: its emission is sampled as a light (Blender's "Emission Sampling")
         ("single_sided_emission", "u1"),  # 1: emits from the front side only
         ("rays", "u2"),  # of BY_RAY: a bit per view that sees the second part
-        ("unsure", "u4"),  # 1: an approximation; how much passes through is not known, so all that is seen through it is to be kept
-        ("parts", "i4", (2,)),  # of MIX and BY_RAY: rows of two materials, never in a cycle; emission there is the brightest of theirs
+        # 1: an approximation; how much passes through is not known, so all that is seen through it is to be kept
+        ("unsure", "u4"),
+        # of MIX and BY_RAY: rows of two materials, never in a cycle; emission there is the brightest of theirs
+        ("parts", "i4", (2,)),
     ],
     align=True,
 )
@@ -177,7 +184,8 @@ LIGHT = np.dtype(
 )
 
 
-# What a camera ray meets: instance (-1: nothing), triangle of its mesh, barycentrics of the triangle's vertices 1 and 2.
+# What a camera ray meets: instance (-1: nothing), triangle of its mesh, barycentrics of the triangle's vertices 1 and
+# 2.
 HIT = np.dtype([("instance", "i4"), ("triangle", "u4"), ("b1", "f4"), ("b2", "f4")])
 
 
@@ -238,8 +246,8 @@ class Camera:
     """A perspective or orthographic camera.
 
     to_world: (3, 4) float64, camera to world (minus `Scene.origin`); it looks along its -Z, +Y is up.
-    frame: (4,) float64 left, right, bottom, top of the picture at distance 1 (perspective), or in metres (orthographic); lens shift, sensor fit and pixel
-    aspect applied, as `bpy.types.Camera.view_frame` gives it.
+    frame: (4,) float64 left, right, bottom, top of the picture at distance 1 (perspective), or in metres
+    (orthographic); lens shift, sensor fit and pixel aspect applied, as `bpy.types.Camera.view_frame` gives it.
     aperture: lens radius in metres, 0 without depth of field; focus: distance of the sharp plane; blades: 0 for a disk.
     """
 
@@ -288,8 +296,9 @@ class Film:
 class FirstHitBuffer:
     """One pass of first hits.
 
-    hits: (H, W) of HIT, rows bottom up. camera: pinhole camera whose rays through the pixel centres met them. meshes: what they lie on is loaded there.
-    lamps_known: a raster's shadow maps tell which light of lamps arrives at them, whatever is built: feedback and path logs leave that light out.
+    hits: (H, W) of HIT, rows bottom up. camera: pinhole camera whose rays through the pixel centres met them. meshes:
+    what they lie on is loaded there. lamps_known: a raster's shadow maps tell which light of lamps arrives at them,
+    whatever is built: feedback and path logs leave that light out.
     """
 
     hits: Records
@@ -302,12 +311,14 @@ class FirstHitBuffer:
 class Scene:
     """One frame of a scene.
 
-    meshes: a sequence that may produce its items on demand (`meshes[m]` loads mesh m); bounds are known without loading.
+    meshes: a sequence that may produce its items on demand (`meshes[m]` loads mesh m); bounds are known without
+    loading.
     mesh_bounds: (M, 2, 3) float32 object space; low > high marks a mesh without triangles.
     slot_materials: (S,) int32 into materials.
     approximated: one line per thing that the engine renders differently from Blender.
-    first_hits: what camera rays meet, where it is known from elsewhere, by width and height of the picture: paths of such a picture start there.
-    shutter: the camera at evenly spaced moments of an exposure, of which each path takes one at random; none: it stands still.
+    first_hits: what camera rays meet, where it is known from elsewhere, by width and height of the picture: paths of
+    such a picture start there. shutter: the camera at evenly spaced moments of an exposure, of which each path takes
+    one at random; none: it stands still.
     """
 
     instances: Instances
@@ -347,7 +358,8 @@ def default_material() -> Records:
 def world_bounds(transform: F32, mesh_bounds: F32, mesh: I32) -> F32:
     """World boxes of instances: the transformed box of each mesh.
 
-    transform (N, 3, 4) float32, mesh_bounds (M, 2, 3) float32, mesh (N,) int32 -> (N, 2, 3) float32, rounded outward to enclose the exact box.
+    transform (N, 3, 4) float32, mesh_bounds (M, 2, 3) float32, mesh (N,) int32 -> (N, 2, 3) float32, rounded outward to
+    enclose the exact box.
     (Arvo, "Transforming axis-aligned bounding boxes", Graphics Gems, 1990.)
     """
     center = (mesh_bounds[:, 0].astype(np.float64) + mesh_bounds[:, 1]) * 0.5

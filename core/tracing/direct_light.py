@@ -1,4 +1,5 @@
-"""Light that reaches a point straight from a light: sampled ones with their shadows, emitters met, lamps seen and the world."""
+"""Light that reaches a point straight from a light: sampled ones with their shadows, emitters met, lamps seen and the
+world."""
 
 from __future__ import annotations
 
@@ -16,8 +17,30 @@ from .bsdf.lobes import BACKFACING, C_EMISSION, F_N, O_PDF
 from .bsdf.setup import bsdf_setup, bsdf_transparency
 from .lights.environment import environment_radiance
 from .lights.lamps import FAR, LAMP, lamp_hit, lamp_share
-from .lights.light_sampling import INSTANCE, L_HEIGHT, L_IMAGE, L_LAMPS, L_MESHES, L_WIDTH, L_WORLD_VISIBILITY, NONE, WORLD, lamp_density, sample_light
-from .materials import M_SHADER, attenuates_emission, composed, emission, material_alpha, material_inputs, material_of, part_of, transmits_shadow
+from .lights.light_sampling import (
+    INSTANCE,
+    L_HEIGHT,
+    L_IMAGE,
+    L_LAMPS,
+    L_MESHES,
+    L_WIDTH,
+    L_WORLD_VISIBILITY,
+    NONE,
+    WORLD,
+    lamp_density,
+    sample_light,
+)
+from .materials import (
+    M_SHADER,
+    attenuates_emission,
+    composed,
+    emission,
+    material_alpha,
+    material_inputs,
+    material_of,
+    part_of,
+    transmits_shadow,
+)
 from .path_feedback import add_light, add_worth, count_hit, credit_unbuilt, log_entry, luminance_of
 from .path_rays import count_boxes, entry_of, intersect, set_ray
 from .path_state import (
@@ -40,12 +63,25 @@ from .path_state import (
     SAMPLED_MAYBE,
     V_WORLD,
 )
-from .surface import LIGHT_VIEW, S_ERROR, T_FLAGS, T_TRANSFORM, face, hit_number, interpolate, mesh_record, offset_origin, shadow_origin
+from .surface import (
+    LIGHT_VIEW,
+    S_ERROR,
+    T_FLAGS,
+    T_TRANSFORM,
+    face,
+    hit_number,
+    interpolate,
+    mesh_record,
+    offset_origin,
+    shadow_origin,
+)
 
-_CAMERA, _SHADOW, _NEAREST = int(RayType.CAMERA), np.int64(RayType.SHADOW), np.int64(1)  # a literal argument would compile another variant
+# a literal argument would compile another variant
+_CAMERA, _SHADOW, _NEAREST = int(RayType.CAMERA), np.int64(RayType.SHADOW), np.int64(1)
 _LIGHT, _VIEWS = np.int64(LIGHT_VIEW), np.int64(VIEWS)
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-# What a ray from far away adds to the error at its end, per distance: 12 roundings to take its origin there, 5 of the distance to the plane, 4 of its length.
+# What a ray from far away adds to the error at its end, per distance: 12 roundings to take its origin there, 5 of the
+# distance to the plane, 4 of its length.
 _REACH = np.float32(24 * 2.0**-24)
 _INSTANCE_BYTES = np.uint64(48)
 
@@ -53,13 +89,17 @@ _INSTANCE_BYTES = np.uint64(48)
 @njit(**INNER)
 def may_be_blocked(s, w, words, far):
     """Whether a box of what is culled lies on the ray at address words, before far."""
-    return s.boxes != np.uint64(0) and count_boxes(s.boxes, s.box_counters, s.box_count, w.query, words, far, _SHADOW, _NEAREST) > 0
+    return (
+        s.boxes != np.uint64(0)
+        and count_boxes(s.boxes, s.box_counters, s.box_count, w.query, words, far, _SHADOW, _NEAREST) > 0
+    )
 
 
 @njit(**INNER)
 def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, known):
-    """What share of light passes along a segment, into w.radiance as a factor; True where some arrives. count: count the hitboxes it crosses. known: what
-    blocks it is known without the blocker being built, so that is worth nothing to it."""
+    """What share of light passes along a segment, into w.radiance as a factor; True where some arrives. count: count
+    the hitboxes it crosses. known: what blocks it is known without the blocker being built, so that is worth nothing to
+    it."""
     hits_left = max(s.settings[I_TRANSPARENT] - transparent_bounce, 0)
     watched = s.feedback != np.uint64(0)
     weighed = s.weights != np.uint64(0) and not known
@@ -70,7 +110,16 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
         rtc_occluded(pointer(s.tlas), pointer(w.shadow_words), pointer(np.uint64(0)))
         blocked = w.shadow[TFAR] < _ZERO
         if count:
-            count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.shadow_words, far, _SHADOW, s.settings[I_HITBOX_NEAREST])
+            count_boxes(
+                s.hitboxes,
+                s.counters,
+                s.counters_length,
+                w.query,
+                w.shadow_words,
+                far,
+                _SHADOW,
+                s.settings[I_HITBOX_NEAREST],
+            )
         return not blocked
     while True:
         set_ray(w.shadow, w.shadow_words, ox, oy, oz, dx, dy, dz, far, _SHADOW)
@@ -78,7 +127,16 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
         hit = intersect(s.tlas, w.shadow_words)
         t = w.shadow[TFAR] if hit else far
         if count:
-            crossed = count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.shadow_words, t, _SHADOW, s.settings[I_HITBOX_NEAREST])
+            crossed = count_boxes(
+                s.hitboxes,
+                s.counters,
+                s.counters_length,
+                w.query,
+                w.shadow_words,
+                t,
+                _SHADOW,
+                s.settings[I_HITBOX_NEAREST],
+            )
             doubtful = doubtful or (crossed > 0 and weighed)
         if not hit:
             if doubtful:
@@ -101,7 +159,15 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
             return False
         hits_left -= 1
         if composed(material):
-            interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, w.far_surf, w.far_frame)
+            interpolate(
+                mesh,
+                s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance),
+                triangle,
+                b1,
+                b2,
+                w.far_surf,
+                w.far_frame,
+            )
             view = _SHADOW + (_VIEWS if face(w.far_frame, dx, dy, dz) else np.int64(0))
             material = part_of(s.table, mesh, material, triangle, b1, b2, view, hit_number(triangle, b1, b2))
         material_alpha(s.table, mesh, material, triangle, b1, b2, w.far_params)
@@ -112,7 +178,15 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
             add_worth(s, w, entry, arriving - luminance_of(w.radiance[0], w.radiance[1], w.radiance[2]))
         if not (w.radiance[0] > _ZERO or w.radiance[1] > _ZERO or w.radiance[2] > _ZERO):
             return False
-        interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, w.far_surf, w.far_frame)
+        interpolate(
+            mesh,
+            s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance),
+            triangle,
+            b1,
+            b2,
+            w.far_surf,
+            w.far_frame,
+        )
         ex, ey, ez = offset_origin(w.far_surf, w.far_frame, dx, dy, dz)
         step = ((ex - ox) * dx + (ey - oy) * dy + (ez - oz) * dz) / (dx * dx + dy * dy + dz * dz)
         far -= max(step, t)
@@ -125,9 +199,12 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
 
 @njit(**INNER)
 def _emitted(s, w, instance, triangle, b1, b2, dx, dy, dz):
-    """Radiance of a point of an emissive instance (sampled as a light) against direction d, into w.radiance; its place into w.far_surf, w.far_frame."""
+    """Radiance of a point of an emissive instance (sampled as a light) against direction d, into w.radiance; its place
+    into w.far_surf, w.far_frame."""
     mesh = mesh_record(s.lights[L_MESHES], s.table, instance)
-    interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, w.far_surf, w.far_frame)
+    interpolate(
+        mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, w.far_surf, w.far_frame
+    )
     back = face(w.far_frame, dx, dy, dz)
     material = material_of(s.table, mesh, instance, triangle)
     if composed(material):
@@ -150,17 +227,21 @@ def world_radiance(s, dx, dy, dz):
     """Radiance of the world in a direction."""
     if s.lights[L_IMAGE] == np.uint64(0):
         return s.limits[V_WORLD], s.limits[V_WORLD + 1], s.limits[V_WORLD + 2]
-    return environment_radiance(s.lights[L_IMAGE], np.int64(s.lights[L_WIDTH]), np.int64(s.lights[L_HEIGHT]), dx, dy, dz)
+    return environment_radiance(
+        s.lights[L_IMAGE], np.int64(s.lights[L_WIDTH]), np.int64(s.lights[L_HEIGHT]), dx, dy, dz
+    )
 
 
 @njit(**INNER)
 def add_direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, transparent_bounce, count, first):
-    """Sample one light from the point in w.surf, w.frame and w.closure, seen with throughput (tr, tg, tb), and add what arrives. first: of a raster hit, where
-    light of lamps is also summed by parts."""
+    """Sample one light from the point in w.surf, w.frame and w.closure, seen with throughput (tr, tg, tb), and add what
+    arrives. first: of a raster hit, where light of lamps is also summed by parts."""
     px, py, pz = w.surf[0], w.surf[1], w.surf[2]
     nx, ny, nz = w.frame[F_N], w.frame[F_N + 1], w.frame[F_N + 2]
     light = w.light
-    kind = sample_light(s.table, s.lights, s.lamps, s.nodes, s.children, px, py, pz, nx, ny, nz, u, u0, u1, light, w.chosen)
+    kind = sample_light(
+        s.table, s.lights, s.lamps, s.nodes, s.children, px, py, pz, nx, ny, nz, u, u0, u1, light, w.chosen
+    )
     if kind == NONE:
         return
     dx, dy, dz, t, pdf = light[0], light[1], light[2], light[3], light[4]
@@ -242,9 +323,11 @@ def add_direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, tra
 
 
 @njit(**INNER)
-def add_lamps_seen(s, w, ox, oy, oz, dx, dy, dz, far, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before, part):
-    """Add the lamps whose shapes a ray meets before far. mis: weigh against light sampling from p with normal n, `before` further back along the ray. part: of
-    the light where no box of what is culled lies before the lamp."""
+def add_lamps_seen(
+    s, w, ox, oy, oz, dx, dy, dz, far, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before, part
+):
+    """Add the lamps whose shapes a ray meets before far. mis: weigh against light sampling from p with normal n,
+    `before` further back along the ray. part: of the light where no box of what is culled lies before the lamp."""
     for i in range(np.int64(s.lights[L_LAMPS])):
         k = f32_pointer(s.lamps + np.uint64(4 * LAMP) * np.uint64(i))
         if np.int64(k[24]) & (1 << ray_type) == 0 or (ray_type != _CAMERA and k[26] == _ZERO):
@@ -259,7 +342,12 @@ def add_lamps_seen(s, w, ox, oy, oz, dx, dy, dz, far, tr, tg, tb, ray_type, boun
             if s.settings[I_STRATEGY] == LIGHT_ONLY:
                 continue
             if s.settings[I_STRATEGY] == BOTH:
-                f *= power_heuristic(pdf, lamp_density(s.lights, s.lamps, s.nodes, s.children, i, px, py, pz, nx, ny, nz, dx, dy, dz, t + before))
+                f *= power_heuristic(
+                    pdf,
+                    lamp_density(
+                        s.lights, s.lamps, s.nodes, s.children, i, px, py, pz, nx, ny, nz, dx, dy, dz, t + before
+                    ),
+                )
         to = part
         if part == CLEAR and may_be_blocked(s, w, w.ray_words, t):
             to = MAYBE

@@ -1,4 +1,5 @@
-"""The material at a shading point: which it is, its inputs from constants and textures, its emission, its normal map."""
+"""The material at a shading point: which it is, its inputs from constants and textures, its emission, its normal
+map."""
 
 from __future__ import annotations
 
@@ -31,11 +32,27 @@ from .textures import lookup, texture_uv_map
 MATERIAL_SIZE = np.uint64(MATERIAL.itemsize)
 M_SHADER, M_EMISSION = offset(MATERIAL, "shader"), offset(MATERIAL, "emission")
 M_MIS, M_SINGLE_SIDED = offset(MATERIAL, "mis_emission"), offset(MATERIAL, "single_sided_emission")
-_BASE, _METALLIC, _ROUGHNESS = offset(MATERIAL, "base_color"), offset(MATERIAL, "metallic"), offset(MATERIAL, "roughness")
-_DIFFUSE_ROUGHNESS, _IOR, _LEVEL = offset(MATERIAL, "diffuse_roughness"), offset(MATERIAL, "ior"), offset(MATERIAL, "specular_level")
-_TINT, _TRANSMISSION, _ALPHA = offset(MATERIAL, "specular_tint"), offset(MATERIAL, "transmission"), offset(MATERIAL, "alpha")
+_BASE, _METALLIC, _ROUGHNESS = (
+    offset(MATERIAL, "base_color"),
+    offset(MATERIAL, "metallic"),
+    offset(MATERIAL, "roughness"),
+)
+_DIFFUSE_ROUGHNESS, _IOR, _LEVEL = (
+    offset(MATERIAL, "diffuse_roughness"),
+    offset(MATERIAL, "ior"),
+    offset(MATERIAL, "specular_level"),
+)
+_TINT, _TRANSMISSION, _ALPHA = (
+    offset(MATERIAL, "specular_tint"),
+    offset(MATERIAL, "transmission"),
+    offset(MATERIAL, "alpha"),
+)
 _COAT, _COAT_ROUGHNESS = offset(MATERIAL, "coat"), offset(MATERIAL, "coat_roughness")
-_COAT_IOR, _COAT_TINT, _STRENGTH = offset(MATERIAL, "coat_ior"), offset(MATERIAL, "coat_tint"), offset(MATERIAL, "normal_strength")
+_COAT_IOR, _COAT_TINT, _STRENGTH = (
+    offset(MATERIAL, "coat_ior"),
+    offset(MATERIAL, "coat_tint"),
+    offset(MATERIAL, "normal_strength"),
+)
 _BASE_TEXTURE, _METALLIC_TEXTURE = offset(MATERIAL, "base_color_texture"), offset(MATERIAL, "metallic_texture")
 _ROUGHNESS_TEXTURE, _ALPHA_TEXTURE = offset(MATERIAL, "roughness_texture"), offset(MATERIAL, "alpha_texture")
 M_EMISSION_TEXTURE, _NORMAL_TEXTURE = offset(MATERIAL, "emission_texture"), offset(MATERIAL, "normal_texture")
@@ -45,7 +62,13 @@ _ALPHA_CHANNEL, _TRANSMISSION_CHANNEL = offset(MATERIAL, "alpha_channel"), offse
 _RAYS, _PARTS, M_UNSURE = offset(MATERIAL, "rays"), offset(MATERIAL, "parts"), offset(MATERIAL, "unsure")
 _PRINCIPLED, _TRANSPARENT = np.uint32(Shader.PRINCIPLED), np.uint32(Shader.TRANSPARENT)
 _MIX, _BY_RAY = np.uint32(Shader.MIX), np.uint32(Shader.BY_RAY)
-_ZERO, _ONE, _HALF, _TWO, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(2.0), np.float32(1.0 / 3.0)
+_ZERO, _ONE, _HALF, _TWO, _THIRD = (
+    np.float32(0.0),
+    np.float32(1.0),
+    np.float32(0.5),
+    np.float32(2.0),
+    np.float32(1.0 / 3.0),
+)
 
 
 @njit(**INNER)
@@ -113,13 +136,29 @@ def material_inputs(table, mesh, material, triangle, b1, b2, params):
     # Four scalar sockets in one loop, so that the lookup is compiled into this function once.
     for k in range(4):
         if k == 0:
-            texture, slot, channel = load_i32(material + _METALLIC_TEXTURE, 0), P_METALLIC, load_u8(material + _METALLIC_CHANNEL, 0)
+            texture, slot, channel = (
+                load_i32(material + _METALLIC_TEXTURE, 0),
+                P_METALLIC,
+                load_u8(material + _METALLIC_CHANNEL, 0),
+            )
         elif k == 1:
-            texture, slot, channel = load_i32(material + _ROUGHNESS_TEXTURE, 0), P_ROUGHNESS, load_u8(material + _ROUGHNESS_CHANNEL, 0)
+            texture, slot, channel = (
+                load_i32(material + _ROUGHNESS_TEXTURE, 0),
+                P_ROUGHNESS,
+                load_u8(material + _ROUGHNESS_CHANNEL, 0),
+            )
         elif k == 2:
-            texture, slot, channel = load_i32(material + _ALPHA_TEXTURE, 0), P_ALPHA, load_u8(material + _ALPHA_CHANNEL, 0)
+            texture, slot, channel = (
+                load_i32(material + _ALPHA_TEXTURE, 0),
+                P_ALPHA,
+                load_u8(material + _ALPHA_CHANNEL, 0),
+            )
         else:
-            texture, slot, channel = load_i32(material + _TRANSMISSION_TEXTURE, 0), P_TRANSMISSION, load_u8(material + _TRANSMISSION_CHANNEL, 0)
+            texture, slot, channel = (
+                load_i32(material + _TRANSMISSION_TEXTURE, 0),
+                P_TRANSMISSION,
+                load_u8(material + _TRANSMISSION_CHANNEL, 0),
+            )
         if texture >= 0:
             params[slot] *= sample_channel(table, mesh, texture, channel, triangle, b1, b2)
 
@@ -146,8 +185,8 @@ def composed(material):
 
 @njit(**INNER)
 def part_of(table, mesh, material, triangle, b1, b2, view, u):
-    """Address of the material that counts at a point of a composed one. view: ray type, or `LIGHT_VIEW`, plus VIEWS where seen from its back; u: a uniform
-    number, that picks the parts of a MIX by their shares."""
+    """Address of the material that counts at a point of a composed one. view: ray type, or `LIGHT_VIEW`, plus VIEWS
+    where seen from its back; u: a uniform number, that picks the parts of a MIX by their shares."""
     while True:
         shader = load_u32(material + M_SHADER, 0)
         if shader == _BY_RAY:
@@ -185,7 +224,11 @@ def emission(table, mesh, material, triangle, b1, b2, back):
 @njit(**INNER)
 def emits(material):
     """Whether a material emits anywhere."""
-    return load_f32(material + M_EMISSION, 0) > _ZERO or load_f32(material + M_EMISSION, 1) > _ZERO or load_f32(material + M_EMISSION, 2) > _ZERO
+    return (
+        load_f32(material + M_EMISSION, 0) > _ZERO
+        or load_f32(material + M_EMISSION, 1) > _ZERO
+        or load_f32(material + M_EMISSION, 2) > _ZERO
+    )
 
 
 @njit(**INNER)
@@ -194,7 +237,9 @@ def transmits_shadow(material):
     shader = load_u32(material + M_SHADER, 0)
     if shader == _TRANSPARENT or shader >= _MIX:
         return True
-    return shader == _PRINCIPLED and (load_f32(material + _ALPHA, 0) < _ONE or load_i32(material + _ALPHA_TEXTURE, 0) >= 0)
+    return shader == _PRINCIPLED and (
+        load_f32(material + _ALPHA, 0) < _ONE or load_i32(material + _ALPHA_TEXTURE, 0) >= 0
+    )
 
 
 @njit(**INNER)
@@ -202,7 +247,11 @@ def attenuates_emission(material):
     """Whether alpha or coat lie over a material's emission."""
     if load_u32(material + M_SHADER, 0) != _PRINCIPLED:
         return False
-    return load_f32(material + _ALPHA, 0) < _ONE or load_i32(material + _ALPHA_TEXTURE, 0) >= 0 or load_f32(material + _COAT, 0) > _ZERO
+    return (
+        load_f32(material + _ALPHA, 0) < _ONE
+        or load_i32(material + _ALPHA_TEXTURE, 0) >= 0
+        or load_f32(material + _COAT, 0) > _ZERO
+    )
 
 
 @njit(**INNER)
@@ -245,7 +294,9 @@ def apply_normal_map(table, mesh, m, material, triangle, b1, b2, back, frame):
     r, g, b, _ = sample_texture(table, mesh, texture, triangle, b1, b2)
     strength = load_f32(material + _STRENGTH, 0)
     mx, my, mz = _TWO * r - _ONE, _TWO * g - _ONE, _TWO * b - _ONE
-    wx, wy, wz, length = normalize(mx * tx + my * qx + mz * nx, mx * ty + my * qy + mz * ny, mx * tz + my * qz + mz * nz)
+    wx, wy, wz, length = normalize(
+        mx * tx + my * qx + mz * nx, mx * ty + my * qy + mz * ny, mx * tz + my * qz + mz * nz
+    )
     if not length > _ZERO:
         return
     if strength != _ONE:

@@ -51,7 +51,9 @@ def add_worth(s, w, entry, luminance):
     units = luminance * s.limits[V_UNITS]
     row = entry - s.settings[I_WEIGHED_FROM]
     if units >= _ONE and row >= 0:
-        atomic_add_int64(s.weights + np.uint64(8) * np.uint64(row * TILES + w.stats[W_TILE]), np.int64(min(units, _MOST)))
+        atomic_add_int64(
+            s.weights + np.uint64(8) * np.uint64(row * TILES + w.stats[W_TILE]), np.int64(min(units, _MOST))
+        )
 
 
 @njit(**INNER)
@@ -97,7 +99,8 @@ def credit_unbuilt(s, w, luminance):
 
 @njit(**INNER)
 def flush_path_contributions(s, w):
-    """At the end of a path: credit what it met with what it gathered behind it, or with what it carried there where that is more."""
+    """At the end of a path: credit what it met with what it gathered behind it, or with what it carried there where
+    that is more."""
     total = luminance_of(w.total[0], w.total[1], w.total[2])
     for k in range(w.stats[W_VERTICES]):
         add_worth(s, w, w.vertex[k], max(total - w.carried[2 * k], w.carried[2 * k + 1]))
@@ -108,7 +111,8 @@ def flush_path_contributions(s, w):
 
 @njit(**INNER)
 def add_light(s, w, r, g, b, bounce, part):
-    """Add a contribution to the path's total, and to a part of it, clamped as Cycles does; bounce: how many bounces lie before the light's last one."""
+    """Add a contribution to the path's total, and to a part of it, clamped as Cycles does; bounce: how many bounces lie
+    before the light's last one."""
     total = abs(r) + abs(g) + abs(b)
     limit = s.limits[V_CLAMP_INDIRECT] if bounce > 0 else s.limits[V_CLAMP_DIRECT]
     if not total < FAR:  # also NaN

@@ -1,8 +1,10 @@
 """The path tracing kernel: one tile of pixels, all of its samples.
 
-Paths follow Cycles' rules: what counts as which bounce, where a path ends, what is weighed against what (kernel/integrator/path_state.h, shade_surface.h).
-At every vertex one light is sampled and one direction; both are weighed by the power heuristic (Veach 1997).
-Where a raster has found the first hits (core.hybrid.first_hits), paths start at these instead of with a camera ray, and their light is also summed by parts.
+Paths follow Cycles' rules: what counts as which bounce, where a path ends, what is weighed against what
+(kernel/integrator/path_state.h, shade_surface.h). At every vertex one light is sampled and one direction; both are
+weighed by the power heuristic (Veach 1997).
+Where a raster has found the first hits (core.hybrid.first_hits), paths start at these instead of with a camera ray, and
+their light is also summed by parts.
 """
 
 from __future__ import annotations
@@ -13,13 +15,8 @@ import numpy as np
 from numba import njit
 
 from ..accel.embree import HIT_U, HIT_V, PRIM_ID, TFAR
-from ..feedback.hits import COLUMNS, ROWS
-from ..feedback.path_log import RECORD
-from ..jit.atomics import atomic_add_int64
-from ..jit.pointers import f32_pointer, load_u8, load_u32
-from ..jit.sampling import INNER, OPTIONS, mix, normalize, path_key, power_heuristic, uniform2
-from ..scene.camera import CAMERA, camera_ray
-from ..scene.film import filter_offset
+from ..jit.pointers import load_u8, load_u32
+from ..jit.sampling import INNER, mix, normalize, power_heuristic, uniform2
 from ..scene.model import VIEWS, InstanceFlag, RayType, Shader
 from .bsdf.lobes import (
     BACKFACING,
@@ -54,32 +51,30 @@ from .lights.light_sampling import (
     triangle_density,
     world_density,
 )
-from .materials import M_MIS, M_SHADER, M_UNSURE, apply_normal_map, composed, emission, emits, material_inputs, material_of, part_of, transmits_shadow
-from .path_feedback import add_light, add_worth, count_hit, flush_path_contributions, record_vertex
+from .materials import (
+    M_MIS,
+    M_SHADER,
+    M_UNSURE,
+    apply_normal_map,
+    composed,
+    emission,
+    emits,
+    material_inputs,
+    material_of,
+    part_of,
+    transmits_shadow,
+)
+from .path_feedback import add_light, add_worth, count_hit, record_vertex
 from .path_rays import count_boxes, entry_of, intersect, set_ray, start_at_hit
 from .path_state import (
-    A_CAMERA,
-    A_COLOR,
-    A_FILTER,
-    A_ONLY,
-    A_PARTS,
-    A_PRIMARY,
-    A_STATS,
-    A_SUMS,
     BOTH,
     CLEAR,
-    I_CAMERAS,
     I_DIFFUSE,
-    I_FIRST_SAMPLE,
     I_GLOSSY,
-    I_HEIGHT,
     I_HITBOX_EVERY,
     I_HITBOX_NEAREST,
-    I_LAMPS_KNOWN,
     I_REFLECTIVE,
     I_REFRACTIVE,
-    I_SAMPLES,
-    I_SEED,
     I_SHADING,
     I_STRATEGY,
     I_TOTAL,
@@ -87,23 +82,13 @@ from .path_state import (
     I_TRANSPARENT,
     I_TRANSPARENT_FILM,
     I_UNBUILT,
-    I_WIDTH,
     LIGHT_ONLY,
-    MAYBE,
     NO_PART,
     PARTS,
     PARTS_AT,
-    PATHS,
     RAYS,
     STRAIGHT,
-    V_EXPOSURE,
     V_FILTER_GLOSSY,
-    W_RECORD,
-    W_TILE,
-    W_VERTICES,
-    WORK,
-    scenery,
-    scratch,
 )
 from .surface import T_FLAGS, T_TRANSFORM, face, interpolate, mesh_record, offset_origin
 
@@ -113,13 +98,13 @@ _VIEWS = np.int64(VIEWS)
 _HOLDOUT = int(Shader.HOLDOUT)
 _ZERO, _ONE, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 3.0)
 _DIMENSIONS = 4  # pairs of numbers per vertex
-_LENS, _FILTER, _TIME = np.uint64(1 << 40), np.uint64((1 << 40) + 1), np.uint64((1 << 40) + 2)
 _INSTANCE_BYTES = np.uint64(48)
 
 
 @njit(**INNER)
-def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
-    """Trace one path from a camera ray; its radiance goes into w.total[0:3], how much of the pixel is transparent into w.total[3], its parts behind that.
+def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
+    """Trace one path from a camera ray; its radiance goes into w.total[0:3], how much of the pixel is transparent into
+    w.total[3], its parts behind that.
 
     record: address of what a raster found on the camera ray (scene.model.HIT), 0 to trace it.
     """
@@ -161,11 +146,45 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         if record != np.uint64(0):
             part = STRAIGHT if bounce == 0 else CLEAR if second else NO_PART
         if count and not first:
-            crossed = count_boxes(s.hitboxes, s.counters, s.counters_length, w.query, w.ray_words, t, ray_type, s.settings[I_HITBOX_NEAREST])
+            crossed = count_boxes(
+                s.hitboxes,
+                s.counters,
+                s.counters_length,
+                w.query,
+                w.ray_words,
+                t,
+                ray_type,
+                s.settings[I_HITBOX_NEAREST],
+            )
             if crossed > 0 and s.settings[I_UNBUILT] >= 0:
                 record_vertex(s, w, s.settings[I_UNBUILT], tr, tg, tb)
         if s.lights[L_COUNT_SHAPES] != np.uint64(0):
-            add_lamps_seen(s, w, ox, oy, oz, dx, dy, dz, t if hit else FAR, tr, tg, tb, ray_type, bounce, mis, pdf, px, py, pz, nx, ny, nz, before, part)
+            add_lamps_seen(
+                s,
+                w,
+                ox,
+                oy,
+                oz,
+                dx,
+                dy,
+                dz,
+                t if hit else FAR,
+                tr,
+                tg,
+                tb,
+                ray_type,
+                bounce,
+                mis,
+                pdf,
+                px,
+                py,
+                pz,
+                nx,
+                ny,
+                nz,
+                before,
+                part,
+            )
         if bounce > 0:
             part = NO_PART
         if not hit:
@@ -174,7 +193,9 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             elif np.int64(s.lights[L_WORLD_VISIBILITY]) & (1 << ray_type) != 0:
                 r, g, b = world_radiance(s, dx, dy, dz)
                 if ray_type == _CAMERA and s.lights[L_SEEN] != np.uint64(0):
-                    r, g, b = environment_radiance(s.lights[L_SEEN], np.int64(s.lights[L_WIDTH]), np.int64(s.lights[L_HEIGHT]), dx, dy, dz)
+                    r, g, b = environment_radiance(
+                        s.lights[L_SEEN], np.int64(s.lights[L_WIDTH]), np.int64(s.lights[L_HEIGHT]), dx, dy, dz
+                    )
                 f = _ONE
                 if mis and s.lights[L_IMAGE] != np.uint64(0):
                     if strategy == BOTH:
@@ -215,7 +236,9 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         back = face(w.frame, dx, dy, dz)
         if composed(material):
             _, u0 = uniform2(key, dimension + np.uint64(3))
-            material = part_of(s.table, mesh, material, triangle, b1, b2, ray_type + (_VIEWS if back else np.int64(0)), u0)
+            material = part_of(
+                s.table, mesh, material, triangle, b1, b2, ray_type + (_VIEWS if back else np.int64(0)), u0
+            )
             shader = np.int64(load_u32(material + M_SHADER, 0))
             glows = emits(material)
         if background and (shader == _HOLDOUT or np.int64(load_u8(s.table[T_FLAGS], instance)) & _HOLDOUT_FLAG != 0):
@@ -235,7 +258,24 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             f = _ONE
             if mis and load_u8(material + M_MIS, 0) != 0:
                 if strategy == BOTH:
-                    density = triangle_density(s.table, s.lights, s.nodes, s.children, instance, triangle, px, py, pz, nx, ny, nz, dx, dy, dz, t + before)
+                    density = triangle_density(
+                        s.table,
+                        s.lights,
+                        s.nodes,
+                        s.children,
+                        instance,
+                        triangle,
+                        px,
+                        py,
+                        pz,
+                        nx,
+                        ny,
+                        nz,
+                        dx,
+                        dy,
+                        dz,
+                        t + before,
+                    )
                     f = power_heuristic(pdf, density)
                 elif strategy == LIGHT_ONLY:
                     f = _ZERO
@@ -313,73 +353,3 @@ def _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         before = _ZERO
         dx, dy, dz, _ = normalize(np.float32(w.out[0]), np.float32(w.out[1]), np.float32(w.out[2]))
         ox, oy, oz = offset_origin(w.surf, w.frame, dx, dy, dz)
-
-
-@njit(**OPTIONS)
-def trace_tile(x0, y0, x1, y1, a):
-    """Trace all samples of the pixels [x0, x1) x [y0, y1), or those paths that A_ONLY marks; a: addresses, A_*.
-
-    Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[2]; writes the light of each path to A_COLOR where that is given.
-    """
-    s = scenery(a)
-    work = np.empty(WORK + 16, np.uint8)
-    w = scratch((np.uint64(work.ctypes.data) + np.uint64(15)) & ~np.uint64(15))
-    w.stats[RAYS] = 0
-    width, height = s.settings[I_WIDTH], s.settings[I_HEIGHT]
-    camera, cameras = f32_pointer(a[A_CAMERA]), s.settings[I_CAMERAS]
-    pixel_filter = f32_pointer(a[A_FILTER])
-    sums = f32_pointer(a[A_SUMS])
-    parts = f32_pointer(a[A_PARTS])
-    seed = np.uint64(s.settings[I_SEED])
-    exposure = s.limits[V_EXPOSURE]
-    samples = s.settings[I_SAMPLES]
-    color = f32_pointer(a[A_COLOR])
-    paths = 0
-    for y in range(y0, y1):
-        for x in range(x0, x1):
-            w.stats[W_TILE] = (y * ROWS // height) * COLUMNS + x * COLUMNS // width
-            r = g = b = t = _ZERO
-            for k in range(samples):
-                path = (y * width + x) * samples + k
-                if a[A_ONLY] != np.uint64(0) and load_u8(a[A_ONLY], path) == 0:
-                    continue
-                paths += 1
-                key = path_key(seed, np.uint64(y * width + x), np.uint64(s.settings[I_FIRST_SAMPLE] + k))
-                f0, f1 = uniform2(key, _FILTER)
-                l0, l1 = uniform2(key, _LENS)
-                if cameras > 1:
-                    time, _ = uniform2(key, _TIME)
-                    camera = f32_pointer(a[A_CAMERA] + np.uint64(4 * CAMERA) * np.uint64(min(np.int64(time * np.float32(cameras)), cameras - 1)))
-                record = np.uint64(0)
-                if a[A_PRIMARY] != np.uint64(0):  # its jitter is in the camera
-                    record = a[A_PRIMARY] + np.uint64(16) * np.uint64(y * width + x)
-                    f0 = f1 = np.float32(0.5)
-                u = (np.float32(x) + np.float32(0.5) + filter_offset(pixel_filter, f0)) / np.float32(width)
-                v = (np.float32(y) + np.float32(0.5) + filter_offset(pixel_filter, f1)) / np.float32(height)
-                ox, oy, oz, dx, dy, dz, far = camera_ray(camera, u, v, l0, l1)
-                w.stats[W_VERTICES] = 0
-                w.stats[W_RECORD] = np.int64(s.log + np.uint64(4 * RECORD) * np.uint64(path))
-                _trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far)
-                if record != np.uint64(0):
-                    for c in range(PARTS):
-                        parts[PARTS * (y * width + x) + c] += exposure * w.total[PARTS_AT + c]
-                if s.weights != np.uint64(0):
-                    flush_path_contributions(s, w)
-                if a[A_COLOR] != np.uint64(0):
-                    known = record != np.uint64(0) and s.settings[I_LAMPS_KNOWN] != 0
-                    for c in range(3):
-                        color[3 * path + c] = w.total[c]
-                        if known:
-                            color[3 * path + c] -= w.total[PARTS_AT + CLEAR + c] + w.total[PARTS_AT + MAYBE + c]
-                r += w.total[0]
-                g += w.total[1]
-                b += w.total[2]
-                t += w.total[3]
-            i = 4 * (y * width + x)
-            sums[i] += r * exposure
-            sums[i + 1] += g * exposure
-            sums[i + 2] += b * exposure
-            sums[i + 3] += np.float32(samples) - t
-    atomic_add_int64(a[A_STATS] + np.uint64(8 * RAYS), w.stats[RAYS])
-    atomic_add_int64(a[A_STATS] + np.uint64(8 * PATHS), paths)
-    return work[0]  # keeps the work space alive until here

@@ -5,7 +5,24 @@ from __future__ import annotations
 import numpy as np
 from numba import carray, njit
 
-from ..accel.embree import DIR, FLAGS, GEOM_ID, HIT_U, HIT_V, ID, INST_ID, INST_PRIM_ID, INVALID, MASK, ORG, PRIM_ID, RAY, TFAR, TIME, TNEAR
+from ..accel.embree import (
+    DIR,
+    FLAGS,
+    GEOM_ID,
+    HIT_U,
+    HIT_V,
+    ID,
+    INST_ID,
+    INST_PRIM_ID,
+    INVALID,
+    MASK,
+    ORG,
+    PRIM_ID,
+    RAY,
+    TFAR,
+    TIME,
+    TNEAR,
+)
 from ..accel.embree import _intersect1 as rtc_intersect
 from ..accel.hitboxes import QUERY, count_crossings
 from ..jit.atomics import pointer
@@ -68,13 +85,16 @@ def count_boxes(hitboxes, counters, length, query, words, far, ray_type, nearest
 
 @njit(**INNER)
 def start_at_hit(s, w, record, ox, oy, oz, dx, dy, dz):
-    """The hit that a raster found on the ray from o along d, into w.ray as if traced; its instance, or -1. record: address of a scene.model.HIT."""
+    """The hit that a raster found on the ray from o along d, into w.ray as if traced; its instance, or -1. record:
+    address of a scene.model.HIT."""
     instance = np.int64(load_i32(record, 0))
     if instance < 0:
         return instance
     triangle, b1, b2 = load_u32(record, 1), load_f32(record, 2), load_f32(record, 3)
     mesh = mesh_record(s.primary_meshes, s.table, instance)
-    interpolate(mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), np.int64(triangle), b1, b2, w.surf, w.frame)
+    interpolate(
+        mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), np.int64(triangle), b1, b2, w.surf, w.frame
+    )
     w.ray[TFAR] = max((w.surf[0] - ox) * dx + (w.surf[1] - oy) * dy + (w.surf[2] - oz) * dz, _ZERO)
     w.ray[HIT_U] = b1
     w.ray[HIT_V] = b2

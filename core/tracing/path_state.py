@@ -43,29 +43,34 @@ from .surface import SURF
     I_WEIGHED_FROM,
     I_UNBUILT,
 ) = range(22)
-SETTINGS = 22  # I_WEIGHED_FROM: `Weights.first`; I_UNBUILT: the number that stands for boxes in records and weights, -1 for none
+# I_WEIGHED_FROM: `Weights.first`; I_UNBUILT: the number that stands for boxes in records and weights, -1 for none
+SETTINGS = 22
 BOTH, LIGHT_ONLY, BSDF_ONLY = 0, 1, 2  # I_STRATEGY: for tests, all agree in the mean
 
-# limits, float32[LIMITS]: clamps (sum over channels, FAR where off), inverse of filter glossy (0: off), exposure, world colour
+# limits, float32[LIMITS]: clamps (sum over channels, FAR where off), inverse of filter glossy (0: off), exposure, world
+# colour
 # (3), and for weights (feedback.Weights): mean luminance of the picture, fixed-point units to one of luminance
 V_CLAMP_DIRECT, V_CLAMP_INDIRECT, V_FILTER_GLOSSY, V_EXPOSURE, V_WORLD, V_AMBIENT, V_UNITS = 0, 1, 2, 3, 4, 7, 8
 LIMITS = 9
 
-# Parts of the light of paths that start at raster hits, float32[PARTS] per pixel. Emission and background seen at the first hit; light of lamps from their own
-# sampling or from the path's next ray at the first hit, free of what is built: without (CLEAR) and with (MAYBE) boxes of culled instances on the way. Then the
-# luminance of light sampling alone at the first hit: clear, maybe, and denied by what is built (BLOCKED).
+# Parts of the light of paths that start at raster hits, float32[PARTS] per pixel. Emission and background seen at the
+# first hit; light of lamps from their own sampling or from the path's next ray at the first hit, free of what is built:
+# without (CLEAR) and with (MAYBE) boxes of culled instances on the way. Then the luminance of light sampling alone at
+# the first hit: clear, maybe, and denied by what is built (BLOCKED).
 STRAIGHT, CLEAR, MAYBE, SAMPLED_CLEAR, SAMPLED_MAYBE, SAMPLED_BLOCKED = 0, 3, 6, 9, 10, 11
 PARTS = 12
 NO_PART = -1
 PARTS_AT = 4  # in Scratch.total
 
 RAYS, PATHS = 0, 1  # stats, int64[2]
-W_TILE, W_VERTICES, W_RECORD = 2, 3, 4  # of a thread's own stats: coarse tile of the pixel, how many instances the path has met, address of its record
+# of a thread's own stats: coarse tile of the pixel, how many instances the path has met, address of its record
+W_TILE, W_VERTICES, W_RECORD = 2, 3, 4
 MAX_VERTICES = 64  # met by one path and weighed; what is met after them goes with the last
 
 
 class Scenery(NamedTuple):
-    """All that a path reads, as pointers or addresses; arrays as their owners describe them (SceneTable, Lights, Tlas, BlasCache, Hitboxes)."""
+    """All that a path reads, as pointers or addresses; arrays as their owners describe them (SceneTable, Lights, Tlas,
+    BlasCache, Hitboxes)."""
 
     table: Any
     lights: Any

@@ -1,6 +1,7 @@
 """The first time, a second process compiles a part of the kernels: numba compiles one at a time in a process.
 
-Both processes share the cache folder. Neither waits for the other: what one of them has compiled the other finds there and loads, whenever it comes to it.
+Both processes share the cache folder. Neither waits for the other: what one of them has compiled the other finds there
+and loads, whenever it comes to it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from ..jit import healing as _healing  # noqa: F401
 from ..processors import processors
 
 _ROOT = __name__.rpartition(".core.")[0]  # `lipac`, or what an extension is called: what is cached holds for one name
-# What the second process runs. It ends with this one: then its input does. Packages around `core` are stood in for: they need Blender.
+# What the second process runs. It ends with this one: then its input does. Packages around `core` are stood in for:
+# they need Blender.
 _WORKER = """
 import importlib, json, os, sys, threading, types
 given = json.loads(sys.stdin.buffer.readline())
@@ -34,7 +36,8 @@ importlib.import_module(given["root"] + ".core.tracing.second_process").compile_
 
 
 def compile_part() -> None:
-    """Compile those inner functions of the path tracing kernel, with all that they call, that take about half of the time until only the kernel is left.
+    """Compile those inner functions of the path tracing kernel, with all that they call, that take about half of the
+    time until only the kernel is left.
 
     The kernel itself comes to them late, so they are there by then. Signatures are those that it calls them with.
     """
@@ -60,9 +63,15 @@ def start_worker() -> subprocess.Popen[bytes] | None:
     command = [sys.executable, "-I", "-c", _WORKER]
     hidden = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # on Windows
     try:
-        worker = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, creationflags=hidden)
+        worker = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, creationflags=hidden
+        )
         assert worker.stdin is not None
-        given = {"path": [entry for entry in sys.path if isinstance(entry, str)], "root": _ROOT, "folder": str(Path(__file__).parents[2])}
+        given = {
+            "path": [entry for entry in sys.path if isinstance(entry, str)],
+            "root": _ROOT,
+            "folder": str(Path(__file__).parents[2]),
+        }
         worker.stdin.write(json.dumps(given).encode() + b"\n")
         worker.stdin.flush()
     except OSError:
@@ -96,7 +105,8 @@ _watching = threading.Event()
 
 
 def share() -> None:
-    """From now on, have a second process help when kernels must be compiled. Where no process can be started, or one core is all there is, none does."""
+    """From now on, have a second process help when kernels must be compiled. Where no process can be started, or one
+    core is all there is, none does."""
     if processors() > 1 and not _watching.is_set():
         _watching.set()
         event.register("numba:compile", _FirstCompilation())

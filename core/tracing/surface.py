@@ -1,6 +1,7 @@
 """From a hit to a point on a surface: position with its error, normals, UV.
 
-Kernels reach the scene through a table of addresses, uint64[9], slots T_*: `SceneTable` makes it and keeps the arrays alive.
+Kernels reach the scene through a table of addresses, uint64[9], slots T_*: `SceneTable` makes it and keeps the arrays
+alive.
 """
 
 from __future__ import annotations
@@ -15,12 +16,7 @@ from ..jit.pointers import address, load_f32, load_i32, load_u32, load_u64, offs
 from ..jit.sampling import INNER, mix
 from ..scene.mesh import MESH
 from ..scene.model import RAY_TYPES, Scene
-from .bsdf.lobes import (
-    F_N,
-    F_NG,
-    F_NS,
-    F_WI,
-)
+from .bsdf.lobes import F_N, F_NG, F_NS, F_WI
 
 T_TRANSFORM, T_MESH, T_SLOTS, T_FLAGS, T_SLOT_MATERIALS, T_MATERIALS, T_TEXTURES, T_BYTES, T_FLOATS = range(9)
 # surf, float32[SURF]: a shading point, world space.
@@ -31,7 +27,13 @@ SURF = 8
 _MESH_SIZE = np.uint64(MESH.itemsize)
 _POSITIONS, _TRIANGLES, _NORMALS = offset(MESH, "positions"), offset(MESH, "triangles"), offset(MESH, "normals")
 _UVS, MESH_SLOTS, _COUNT = offset(MESH, "uvs"), offset(MESH, "slots"), offset(MESH, "triangle_count")
-_ZERO, _ONE, _HALF, _TWO, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(2.0), np.float32(1.0 / 3.0)
+_ZERO, _ONE, _HALF, _TWO, _THIRD = (
+    np.float32(0.0),
+    np.float32(1.0),
+    np.float32(0.5),
+    np.float32(2.0),
+    np.float32(1.0 / 3.0),
+)
 # Error bounds of `interpolate`, in units of float32's rounding
 _TRANSFORM, _TRIANGLE, _POSITION, _SLIVER = 12 * 2.0**-24, 4 * 2.0**-24, 2 * 2.0**-24, 2.0**10
 _BITS = np.float32(2.0**31)
@@ -104,14 +106,18 @@ def _unit64(x, y, z):
 def interpolate(mesh, m, triangle, b1, b2, surf, frame):
     """Position, its error bound and both normals of a point of a triangle.
 
-    mesh: address of the mesh record; m: address of the instance's transform. Fills surf, frame[F_NG], frame[F_NS] and frame[F_N], outward as the mesh says.
+    mesh: address of the mesh record; m: address of the instance's transform. Fills surf, frame[F_NG], frame[F_NS] and
+    frame[F_N], outward as the mesh says.
 
-    Computed in float64, so that neither a triangle of 1e-9 m loses its normal nor one of 1e4 m its millimetres; what is left of our error is the rounding of
-    the position. The bound is of that and of what Embree, in float32, makes of a ray from there (first-order bounds, as in pbrt-v4 section 6.8, u = 2^-24):
-    - Taking the origin to object space, M^-1 p - M^-1 t: three multiply-adds, two roundings of a cofactor, one of the division, and the determinant's four:
-      10 u of sums of |products|, not of results, which may cancel. Two more for what the result loses when it comes back by |M|.
-    - Vertices minus origin: u of the distances. The normal's direction, from edges of these differences: two roundings of each difference and two of each
-      product in the best conditioned cross product of two edges, relative to the area: 4 u times (1 + 1 / sine of the angle), capped at slivers of 2^-10.
+    Computed in float64, so that neither a triangle of 1e-9 m loses its normal nor one of 1e4 m its millimetres; what is
+    left of our error is the rounding of the position. The bound is of that and of what Embree, in float32, makes of a
+    ray from there (first-order bounds, as in pbrt-v4 section 6.8, u = 2^-24):
+    - Taking the origin to object space, M^-1 p - M^-1 t: three multiply-adds, two roundings of a cofactor, one of the
+      division, and the determinant's four: 10 u of sums of |products|, not of results, which may cancel. Two more for
+      what the result loses when it comes back by |M|.
+    - Vertices minus origin: u of the distances. The normal's direction, from edges of these differences: two roundings
+      of each difference and two of each product in the best conditioned cross product of two edges, relative to the
+      area: 4 u times (1 + 1 / sine of the angle), capped at slivers of 2^-10.
     """
     ax, ay, az, bx, by, bz, cx, cy, cz = corners(mesh, triangle)
     ax, ay, az = np.float64(ax), np.float64(ay), np.float64(az)
@@ -119,20 +125,46 @@ def interpolate(mesh, m, triangle, b1, b2, surf, frame):
     x = b0 * ax + b1 * np.float64(bx) + b2 * np.float64(cx)
     y = b0 * ay + b1 * np.float64(by) + b2 * np.float64(cy)
     z = b0 * az + b1 * np.float64(bz) + b2 * np.float64(cz)
-    m00, m01, m02, tx = np.float64(load_f32(m, 0)), np.float64(load_f32(m, 1)), np.float64(load_f32(m, 2)), np.float64(load_f32(m, 3))
-    m10, m11, m12, ty = np.float64(load_f32(m, 4)), np.float64(load_f32(m, 5)), np.float64(load_f32(m, 6)), np.float64(load_f32(m, 7))
-    m20, m21, m22, tz = np.float64(load_f32(m, 8)), np.float64(load_f32(m, 9)), np.float64(load_f32(m, 10)), np.float64(load_f32(m, 11))
+    m00, m01, m02, tx = (
+        np.float64(load_f32(m, 0)),
+        np.float64(load_f32(m, 1)),
+        np.float64(load_f32(m, 2)),
+        np.float64(load_f32(m, 3)),
+    )
+    m10, m11, m12, ty = (
+        np.float64(load_f32(m, 4)),
+        np.float64(load_f32(m, 5)),
+        np.float64(load_f32(m, 6)),
+        np.float64(load_f32(m, 7)),
+    )
+    m20, m21, m22, tz = (
+        np.float64(load_f32(m, 8)),
+        np.float64(load_f32(m, 9)),
+        np.float64(load_f32(m, 10)),
+        np.float64(load_f32(m, 11)),
+    )
     px = m00 * x + m01 * y + m02 * z + tx
     py = m10 * x + m11 * y + m12 * z + ty
     pz = m20 * x + m21 * y + m22 * z + tz
-    # Cofactors: rows of the inverse transpose times the determinant. Each is a difference whose terms bound its rounding: s..
+    # Cofactors: rows of the inverse transpose times the determinant. Each is a difference whose terms bound its
+    # rounding: s..
     c00, c01, c02 = m11 * m22 - m12 * m21, m12 * m20 - m10 * m22, m10 * m21 - m11 * m20
     c10, c11, c12 = m02 * m21 - m01 * m22, m00 * m22 - m02 * m20, m01 * m20 - m00 * m21
     c20, c21, c22 = m01 * m12 - m02 * m11, m02 * m10 - m00 * m12, m00 * m11 - m01 * m10
     det = m00 * c00 + m01 * c01 + m02 * c02
     inv = 1.0 / max(abs(det), 1e-300)
     wx, wy, wz = abs(px) + abs(tx), abs(py) + abs(ty), abs(pz) + abs(tz)
-    n00, n01, n02, n10, n11, n12, n20, n21, n22 = abs(m00), abs(m01), abs(m02), abs(m10), abs(m11), abs(m12), abs(m20), abs(m21), abs(m22)
+    n00, n01, n02, n10, n11, n12, n20, n21, n22 = (
+        abs(m00),
+        abs(m01),
+        abs(m02),
+        abs(m10),
+        abs(m11),
+        abs(m12),
+        abs(m20),
+        abs(m21),
+        abs(m22),
+    )
     ox = inv * ((n11 * n22 + n12 * n21) * wx + (n02 * n21 + n01 * n22) * wy + (n01 * n12 + n02 * n11) * wz)
     oy = inv * ((n12 * n20 + n10 * n22) * wx + (n00 * n22 + n02 * n20) * wy + (n02 * n10 + n00 * n12) * wz)
     oz = inv * ((n10 * n21 + n11 * n20) * wx + (n01 * n20 + n00 * n21) * wy + (n00 * n11 + n01 * n10) * wz)
@@ -156,9 +188,13 @@ def interpolate(mesh, m, triangle, b1, b2, surf, frame):
     surf[S_BARY] = b1
     surf[S_BARY + 1] = b2
     s = 1.0 if det >= 0.0 else -1.0
-    gx, gy, gz, length = _unit64(s * (c00 * nx + c01 * ny + c02 * nz), s * (c10 * nx + c11 * ny + c12 * nz), s * (c20 * nx + c21 * ny + c22 * nz))
+    gx, gy, gz, length = _unit64(
+        s * (c00 * nx + c01 * ny + c02 * nz), s * (c10 * nx + c11 * ny + c12 * nz), s * (c20 * nx + c21 * ny + c22 * nz)
+    )
     kx, ky, kz = corner_normal(mesh, triangle, b1, b2)
-    sx, sy, sz, length = _unit64(s * (c00 * kx + c01 * ky + c02 * kz), s * (c10 * kx + c11 * ky + c12 * kz), s * (c20 * kx + c21 * ky + c22 * kz))
+    sx, sy, sz, length = _unit64(
+        s * (c00 * kx + c01 * ky + c02 * kz), s * (c10 * kx + c11 * ky + c12 * kz), s * (c20 * kx + c21 * ky + c22 * kz)
+    )
     if not length > 0.0:
         sx, sy, sz = gx, gy, gz
     frame[F_NG] = gx
@@ -171,7 +207,8 @@ def interpolate(mesh, m, triangle, b1, b2, surf, frame):
 
 @njit(**INNER)
 def face(frame, dx, dy, dz):
-    """Turn the normals to the side that a ray of direction d came from and set F_WI. True where the surface is seen from its back."""
+    """Turn the normals to the side that a ray of direction d came from and set F_WI. True where the surface is seen
+    from its back."""
     frame[F_WI] = -dx
     frame[F_WI + 1] = -dy
     frame[F_WI + 2] = -dz
@@ -184,8 +221,8 @@ def face(frame, dx, dy, dz):
 
 @njit(**INNER)
 def offset_origin(surf, frame, dx, dy, dz):
-    """Where a ray of direction d starts that must not meet its own surface: moved along the geometric normal, to d's side, by the error bound
-    (pbrt-v4 section 6.8.6)."""
+    """Where a ray of direction d starts that must not meet its own surface: moved along the geometric normal, to d's
+    side, by the error bound (pbrt-v4 section 6.8.6)."""
     nx, ny, nz = frame[F_NG], frame[F_NG + 1], frame[F_NG + 2]
     d = abs(nx) * surf[S_ERROR] + abs(ny) * surf[S_ERROR + 1] + abs(nz) * surf[S_ERROR + 2]
     if nx * dx + ny * dy + nz * dz < _ZERO:
@@ -215,10 +252,12 @@ def hit_number(triangle, b1, b2):
 
 @njit(**INNER)
 def shadow_origin(mesh, m, triangle, surf, frame, lx, ly, lz):
-    """Where a shadow ray towards l starts: `offset_origin`, and near the terminator of a smooth-shaded mesh lifted off the flat triangle.
+    """Where a shadow ray towards l starts: `offset_origin`, and near the terminator of a smooth-shaded mesh lifted off
+    the flat triangle.
 
-    The lift follows the curved surface that the normals suggest (Cycles' "geometry offset", after Hanika, "Hacking the shadow terminator", Ray Tracing
-    Gems II, 2021): each corner's tangent plane is raised to the point, the smallest lift wins.
+    The lift follows the curved surface that the normals suggest (Cycles' "geometry offset", after Hanika, "Hacking the
+    shadow terminator", Ray Tracing Gems II, 2021): each corner's tangent plane is raised to the point, the smallest
+    lift wins.
     """
     n = load_u64(mesh + _NORMALS, 0)
     if n == np.uint64(0):

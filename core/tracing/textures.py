@@ -1,4 +1,5 @@
-"""Texture lookups in compiled kernels, with Cycles' conventions (pixel centres at half integers, sRGB decoded after interpolation)."""
+"""Texture lookups in compiled kernels, with Cycles' conventions (pixel centres at half integers, sRGB decoded after
+interpolation)."""
 
 from __future__ import annotations
 
@@ -21,7 +22,9 @@ _EXTENSION = offset(TEXTURE, "extension")
 _CLOSEST = offset(TEXTURE, "closest")
 _UV_MAP = offset(TEXTURE, "uv_map")
 _UV_MATRIX = offset(TEXTURE, "uv_matrix")
-_REPEAT, _EXTEND, _CLIP, _MIRROR = (int(e) for e in (Extension.REPEAT, Extension.EXTEND, Extension.CLIP, Extension.MIRROR))
+_REPEAT, _EXTEND, _CLIP, _MIRROR = (
+    int(e) for e in (Extension.REPEAT, Extension.EXTEND, Extension.CLIP, Extension.MIRROR)
+)
 _BYTE = np.float32(1.0 / 255.0)
 _ONE, _HALF = np.float32(1.0), np.float32(0.5)
 
@@ -66,7 +69,12 @@ def texel(pool, is_float, base, width, x, y):
     i = base + 4 * (y * width + x)
     if is_float:
         return load_f32(pool, i), load_f32(pool, i + 1), load_f32(pool, i + 2), load_f32(pool, i + 3)
-    return load_u8(pool, i) * _BYTE, load_u8(pool, i + 1) * _BYTE, load_u8(pool, i + 2) * _BYTE, load_u8(pool, i + 3) * _BYTE
+    return (
+        load_u8(pool, i) * _BYTE,
+        load_u8(pool, i + 1) * _BYTE,
+        load_u8(pool, i + 2) * _BYTE,
+        load_u8(pool, i + 3) * _BYTE,
+    )
 
 
 @njit(**OPTIONS)

@@ -29,9 +29,9 @@ from . import path_state as state
 from .bsdf.lobes import SHADING_FLAGS
 from .lights.lamps import FAR
 from .lights.lights import Lights, emissive_instances
-from .path_kernel import trace_tile
 from .second_process import share
 from .surface import SceneTable
+from .tile_kernel import trace_tile
 
 TILE = 16
 Tile = tuple[int, int, int, int]  # x, y, and where it ends
@@ -66,19 +66,22 @@ class Prepared:
         return dataclasses.replace(self, scene=scene, table=SceneTable(scene), lights=lights)
 
     def with_emitters(self, active: NDArray[np.bool_]) -> Prepared:
-        """The same scene where only those emissive instances light it that are active, (N,) bool: what is left when the others are removed."""
+        """The same scene where only those emissive instances light it that are active, (N,) bool: what is left when the
+        others are removed."""
         kept = emissive_instances(self.scene)
         lights = Lights(self.scene, kept[active[kept]], self.lights.meshes)
         return Prepared(self.scene, self.blas, self.table, lights, self.camera, self.pixel_filter)
 
 
 def prepare(scene: Scene, blas: BlasCache) -> Prepared:
-    """Build lights, camera and tables of a scene whose loaded meshes are in blas. Loads the meshes of emissive instances, no other, and keeps them."""
+    """Build lights, camera and tables of a scene whose loaded meshes are in blas. Loads the meshes of emissive
+    instances, no other, and keeps them."""
     return Prepared(scene, blas, SceneTable(scene), Lights(scene), _cameras(scene), filter_offsets(scene.film))
 
 
 def advanced(prepared: Prepared, scene: Scene, change: Change) -> Prepared:
-    """`prepare` for the next frame of a scene: lights are made anew only where one of them may be another, from the meshes that are the same."""
+    """`prepare` for the next frame of a scene: lights are made anew only where one of them may be another, from the
+    meshes that are the same."""
     lights = prepared.lights
     changed = {*change.deformed.tolist(), *change.replaced.tolist()}.intersection(lights.meshes)
     emits = change.moved is not None and bool((scene.materials["emission"] > 0).any())
@@ -120,14 +123,16 @@ def trace(
 ) -> Picture:
     """Trace samples paths per pixel through the instances in tlas.
 
-    first_sample, seed: which random numbers; the same ones give the same picture and counts, bit for bit, at any number of threads.
-    feedback: hits and box crossings are added to it; nearest: boxes counted per segment (hitboxes.ALL_CROSSINGS: every one); hitbox_every: count boxes on
-    one path in so many. size: (width, height) of the picture in pixels, default that of the film. threads: 0 for all. cancelled: polled now and then; where it
-    says True the picture is returned as far as it is. strategy: path_state.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
-    log: gets the light of each path (less light that is known without tracing, `FirstHitBuffer.lamps_known`), and, where feedback is given, what the path met.
-    only: (H, W, samples) uint8, trace those paths that are not 0.
-    Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of what is culled, to tell for the parts
-    which light of lamps that may block.
+    first_sample, seed: which random numbers; the same ones give the same picture and counts, bit for bit, at any number
+    of threads.
+    feedback: hits and box crossings are added to it; nearest: boxes counted per segment (hitboxes.ALL_CROSSINGS: every
+    one); hitbox_every: count boxes on one path in so many. size: (width, height) of the picture in pixels, default that
+    of the film. threads: 0 for all. cancelled: polled now and then; where it says True the picture is returned as far
+    as it is. strategy: path_state.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
+    log: gets the light of each path (less light that is known without tracing, `FirstHitBuffer.lamps_known`), and,
+    where feedback is given, what the path met. only: (H, W, samples) uint8, trace those paths that are not 0.
+    Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of
+    what is culled, to tell for the parts which light of lamps that may block.
     """
     share()
     scene = prepared.scene
@@ -159,21 +164,41 @@ def trace(
         parts, camera = np.zeros((height, width, state.PARTS), np.float32), camera_constants(primary.camera)
         addresses[state.A_PARTS], addresses[state.A_CAMERA] = address(parts), address(camera)
         settings[state.I_LAMPS_KNOWN], settings[state.I_CAMERAS] = primary.lamps_known, 1
-        addresses[state.A_PRIMARY], addresses[state.A_PRIMARY_MESHES] = address(primary.hits), address(primary.meshes.table)
+        addresses[state.A_PRIMARY], addresses[state.A_PRIMARY_MESHES] = (
+            address(primary.hits),
+            address(primary.meshes.table),
+        )
         if boxes is not None and len(boxes):
             addresses[state.BOXES], addresses[state.A_BOX_COUNTERS] = boxes.handle, address(boxes.counters)
             addresses[state.N_BOXES] = len(boxes)
-    tiles = [(x, y, min(x + TILE, width), min(y + TILE, height)) for y in range(0, height, TILE) for x in range(0, width, TILE)]
+    tiles = [
+        (x, y, min(x + TILE, width), min(y + TILE, height))
+        for y in range(0, height, TILE)
+        for x in range(0, width, TILE)
+    ]
     if only is not None:
         tiles = [(x, y, x1, y1) for x, y, x1, y1 in tiles if only[y:y1, x:x1].any()]
-    _run(tiles, lambda tile: trace_tile(*tile, addresses), threads, f"tracing {width} x {height}, {samples} paths per pixel", progress, cancelled)
+    _run(
+        tiles,
+        lambda tile: trace_tile(*tile, addresses),
+        threads,
+        f"tracing {width} x {height}, {samples} paths per pixel",
+        progress,
+        cancelled,
+    )
     return Picture(sums, samples, int(stats[state.PATHS]), int(stats[state.RAYS]), parts)
 
 
 def _run(
-    tiles: Sequence[Tile], work: Callable[[Tile], None], threads: int, text: str, progress: Progress, cancelled: Callable[[], bool] | None
+    tiles: Sequence[Tile],
+    work: Callable[[Tile], None],
+    threads: int,
+    text: str,
+    progress: Progress,
+    cancelled: Callable[[], bool] | None,
 ) -> None:
-    """Work on all tiles, each thread on the next one that nobody has taken; progress and cancelled are asked for now and then."""
+    """Work on all tiles, each thread on the next one that nobody has taken; progress and cancelled are asked for now
+    and then."""
     if cancelled and cancelled():
         return
     left, stop = iter(tiles), threading.Event()
@@ -199,7 +224,15 @@ def _run(
 
 
 def _settings(
-    scene: Scene, width: int, height: int, samples: int, first_sample: int, seed: int, hitbox_every: int, nearest: int, strategy: int
+    scene: Scene,
+    width: int,
+    height: int,
+    samples: int,
+    first_sample: int,
+    seed: int,
+    hitbox_every: int,
+    nearest: int,
+    strategy: int,
 ) -> tuple[NDArray[np.int64], F32]:
     """The kernel's settings and limits."""
     limits = scene.limits
@@ -272,5 +305,8 @@ def _addresses(
         out[state.A_COUNTERS], out[state.N_COUNTERS] = address(feedback.boxes), len(feedback.boxes)
         out[state.A_FEEDBACK] = address(feedback.hits)
         if feedback.weights is not None:
-            out[state.A_WEIGHTS], out[state.A_TILE_LIGHT] = address(feedback.weights.light), address(feedback.weights.total)
+            out[state.A_WEIGHTS], out[state.A_TILE_LIGHT] = (
+                address(feedback.weights.light),
+                address(feedback.weights.total),
+            )
     return out

@@ -32,16 +32,20 @@ class Analysed:
 
 
 class Ahead:
-    """`lipac analyze` over frames, in order, into a folder that goes with it. Whoever takes a frame waits until it is done."""
+    """`lipac analyze` over frames, in order, into a folder that goes with it. Whoever takes a frame waits until it is
+    done."""
 
     def __init__(self, arguments: Sequence[str], frames: Sequence[int]) -> None:
-        """arguments: of `lipac analyze`, without frames and folder. frames: the first and the last count; those between are analysed, too."""
+        """arguments: of `lipac analyze`, without frames and folder. frames: the first and the last count; those between
+        are analysed, too."""
         self._folder = tempfile.TemporaryDirectory(prefix="lipac")
         self._errors = Path(self._folder.name) / "errors.txt"
         where = ["-o", self._folder.name, "--frames", f"{frames[0]}-{frames[-1]}", "--quiet"]
         command = [sys.executable, "-m", "lipac.scripts.lipac", "analyze", *arguments, *where]
         with self._errors.open("wb") as errors:
-            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors
+            )
 
     def __enter__(self) -> Ahead:
         return self
@@ -56,7 +60,8 @@ class Ahead:
         self._folder.cleanup()
 
     def take(self, frame: int, path: Path, cancelled: Cancel) -> Analysed:
-        """What was decided on a frame, once; its states are then at path. `wait_s` of its entry: seconds that it was waited for.
+        """What was decided on a frame, once; its states are then at path. `wait_s` of its entry: seconds that it was
+        waited for.
 
         Raises InputError where the process has ended without it, Cancelled.
         """
@@ -96,4 +101,8 @@ class Ahead:
 
     def _last_words(self, frame: int) -> str:
         lines = self._errors.read_text(errors="replace").strip().splitlines()
-        return lines[-1].removeprefix("lipac analyze: ") if lines else f"the analysis of frame {frame} ended with status {self._process.returncode}"
+        return (
+            lines[-1].removeprefix("lipac analyze: ")
+            if lines
+            else f"the analysis of frame {frame} ended with status {self._process.returncode}"
+        )

@@ -13,17 +13,21 @@ from ..depsgraph import changed
 
 
 def save_baked(path: Path) -> None:
-    """Save the open file as it is now, culling included, as a copy at path. Raises InputError where it cannot be written, or is the open file itself."""
+    """Save the open file as it is now, culling included, as a copy at path. Raises InputError where it cannot be
+    written, or is the open file itself."""
     check_target(path)
     try:
         save_copy(path)
     except (OSError, RuntimeError) as error:
-        raise InputError(f"cannot write {path}: {str(error).removeprefix('Error:').strip()}; choose another with --save") from error
+        raise InputError(
+            f"cannot write {path}: {str(error).removeprefix('Error:').strip()}; choose another with --save"
+        ) from error
 
 
 def save_copy(path: Path) -> None:
     """Save the open file as a copy at path. Raises OSError, RuntimeError."""
-    with replacing(path) as part, muted(), changed(bpy.context.preferences.filepaths, save_version=0):  # no copy of the empty file that is there
+    # no copy of the empty file that is there
+    with replacing(path) as part, muted(), changed(bpy.context.preferences.filepaths, save_version=0):
         bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), check_existing=False, copy=True)
 
 

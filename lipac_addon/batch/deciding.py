@@ -25,13 +25,15 @@ from .shot_set import ShotSet
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
 
-SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays", "iterations", "calibration_paths")  # over view layers, and what ends in _s
+# over view layers, and what ends in _s
+SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays", "iterations", "calibration_paths")
 
 
 @dataclass(frozen=True)
 class Decided:
-    """What was decided on a frame, for all its view layers. state (N,), score (N,), hits (N, RAY_TYPES), boxes (H, 2, 3): as of `CullingResult`, boxes in the
-    world; records, names: its keys; entry: for the report; faces: as of `States`."""
+    """What was decided on a frame, for all its view layers. state (N,), score (N,), hits (N, RAY_TYPES), boxes (H, 2,
+    3): as of `CullingResult`, boxes in the world; records, names: its keys; entry: for the report; faces: as of
+    `States`."""
 
     state: U8
     score: F32
@@ -66,17 +68,27 @@ def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, A
     boxes = result.boxes + scene.origin
     lines = scene.approximated, (*extraction.warnings, *result.warnings)
     faces = {keys.names[keys.records["object"][row]]: mask for row, mask in result.faces.items()}
-    return Decided(result.state, result.score, result.hits, boxes, keys.records, keys.names, entry | result.stats, *lines, faces)
+    return Decided(
+        result.state, result.score, result.hits, boxes, keys.records, keys.names, entry | result.stats, *lines, faces
+    )
 
 
-def decide_layers(sessions: Sequence[Session], frame: int, last: bool, progress: Progress = silent, cancelled: Cancel = never) -> Decided:
+def decide_layers(
+    sessions: Sequence[Session], frame: int, last: bool, progress: Progress = silent, cancelled: Cancel = never
+) -> Decided:
     """Decide a frame by what each view layer needs: an instance that one of them needs stays. last: as in `run_frame`.
 
-    Where no layer shows anything that light paths can be traced in, but something all the same, nothing is culled. Raises NothingToAnalyse, Cancelled.
+    Where no layer shows anything that light paths can be traced in, but something all the same, nothing is culled.
+    Raises NothingToAnalyse, Cancelled.
     """
     parts, shown = [], dict[str, None]()
     for k, session in enumerate(sessions):
-        within = part(progress, k / len(sessions), (k + 1) / len(sessions), f"view layer {session.layer}: " if len(sessions) > 1 else "")
+        within = part(
+            progress,
+            k / len(sessions),
+            (k + 1) / len(sessions),
+            f"view layer {session.layer}: " if len(sessions) > 1 else "",
+        )
         try:
             extraction, entry = session.sync(frame)
         except NothingToAnalyse as error:
@@ -98,8 +110,20 @@ def decide_layers(sessions: Sequence[Session], frame: int, last: bool, progress:
     if not parts and not shown:
         raise NothingToAnalyse
     if not parts:
-        nothing = np.zeros(0, np.uint8), np.zeros(0, np.float32), np.zeros((0, RAY_TYPES), np.int64), np.zeros((0, 2, 3))
-        return Decided(*nothing, np.zeros(0, KEY), (), {"frame": frame}, tuple(shown), (str(NothingToAnalyse([*shown])) + "; all is rendered",))
+        nothing = (
+            np.zeros(0, np.uint8),
+            np.zeros(0, np.float32),
+            np.zeros((0, RAY_TYPES), np.int64),
+            np.zeros((0, 2, 3)),
+        )
+        return Decided(
+            *nothing,
+            np.zeros(0, KEY),
+            (),
+            {"frame": frame},
+            tuple(shown),
+            (str(NothingToAnalyse([*shown])) + "; all is rendered",),
+        )
     return parts[0] if len(parts) == 1 else _united(parts)
 
 
@@ -117,9 +141,24 @@ def _united(parts: Sequence[Decided]) -> Decided:
     entry: dict[str, Any] = {}
     for name in dict.fromkeys(name for one in parts for name in one.entry):
         values = [one.entry[name] for one in parts if name in one.entry]
-        entry[name] = sum(values) if name in SUMS or name.endswith("_s") else max(values) if isinstance(values[0], int | float) else values[0]
+        entry[name] = (
+            sum(values)
+            if name in SUMS or name.endswith("_s")
+            else max(values)
+            if isinstance(values[0], int | float)
+            else values[0]
+        )
     counts = np.bincount(state, minlength=len(State)).tolist()
-    entry |= {"instances": n, "active": counts[State.ACTIVE], "pending": counts[State.PENDING], "culled": counts[State.CULLED], "view_layers": len(parts)}
-    lines = [tuple(dict.fromkeys(line for one in parts for line in getattr(one, name))) for name in ("approximated", "warnings")]
+    entry |= {
+        "instances": n,
+        "active": counts[State.ACTIVE],
+        "pending": counts[State.PENDING],
+        "culled": counts[State.CULLED],
+        "view_layers": len(parts),
+    }
+    lines = [
+        tuple(dict.fromkeys(line for one in parts for line in getattr(one, name)))
+        for name in ("approximated", "warnings")
+    ]
     boxes, keys = np.concatenate([one.boxes for one in parts]), together.keys
     return Decided(state, score, hits, boxes, keys.records, keys.names, entry, lines[0], lines[1], together.faces)

@@ -19,11 +19,15 @@ from .job import Cancel, Job
 if TYPE_CHECKING:
     from .verify import Verified
 
-ENFORCED = 4  # times that a frame is analysed again where a verification finds the budget broken, the last time with everything kept
+# times that a frame is analysed again where a verification finds the budget broken, the last time with everything kept
+ENFORCED = 4
 
 
-def verified(job: Job, scene: Scene | None, active: np.ndarray | None, progress: Progress, cancelled: Cancel) -> dict[str, object]:
-    """What the frame's entry says of the error that was measured, where the job asks for that. scene, active: for an engine of ours."""
+def verified(
+    job: Job, scene: Scene | None, active: np.ndarray | None, progress: Progress, cancelled: Cancel
+) -> dict[str, object]:
+    """What the frame's entry says of the error that was measured, where the job asks for that. scene, active: for an
+    engine of ours."""
     if not job.verify:
         return {}
     from .verify import verified_blender, verified_path
@@ -41,7 +45,9 @@ def measured(entry: dict[str, Any]) -> Verified:
     """The verification that a frame's entry tells of; nothing found where it tells of none."""
     from .verify import Verified
 
-    mean, worst, least_mean, least_worst = (float(entry.get(f"verified_{name}", 0.0)) for name in ("mean", "worst", "least_mean", "least_worst"))
+    mean, worst, least_mean, least_worst = (
+        float(entry.get(f"verified_{name}", 0.0)) for name in ("mean", "worst", "least_mean", "least_worst")
+    )
     return Verified(mean, worst, least_mean, least_worst, ())
 
 
@@ -51,7 +57,8 @@ def broken(entry: dict[str, Any], budget: Budget) -> bool:
 
 
 def tightened(job: Job, entry: dict[str, Any], attempt: int) -> Job:
-    """The job with a budget that is as much smaller as the engine's picture is above it, and by half more; at the last attempt without culling."""
+    """The job with a budget that is as much smaller as the engine's picture is above it, and by half more; at the last
+    attempt without culling."""
     if attempt == ENFORCED - 1:
         return replace(job, options=replace(job.options, policy=NOTHING))
     found, budget = measured(entry), job.options.max_error

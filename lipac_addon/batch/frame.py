@@ -1,4 +1,5 @@
-"""One frame of a job: decide, write back or render by an engine of ours, verify; once more with a tighter budget where that is broken."""
+"""One frame of a job: decide, write back or render by an engine of ours, verify; once more with a tighter budget where
+that is broken."""
 
 from __future__ import annotations
 
@@ -42,8 +43,11 @@ if TYPE_CHECKING:
 ANALYSIS_SHARE = 0.2  # of a frame's progress, where it is rendered too
 
 
-def run_frame_ahead(job: Job, ahead: Ahead, frame: int, report: Report, progress: Progress = silent, cancelled: Cancel = never) -> None:
-    """One frame of a job for one of Blender's engines, whose analysis is another process's; added to the report. Raises InputError, Cancelled."""
+def run_frame_ahead(
+    job: Job, ahead: Ahead, frame: int, report: Report, progress: Progress = silent, cancelled: Cancel = never
+) -> None:
+    """One frame of a job for one of Blender's engines, whose analysis is another process's; added to the report. Raises
+    InputError, Cancelled."""
     progress(0.0, "waiting for the analysis")
     found = ahead.take(frame, job.states(frame), cancelled)
     with muted():
@@ -51,15 +55,27 @@ def run_frame_ahead(job: Job, ahead: Ahead, frame: int, report: Report, progress
     show_frame(bpy.context.scene, frame)
     kept = ShotSet()
     kept.add(found.states)
-    outcome = Outcome(found.entry, found.approximated, (*found.warnings, *write_back(~kept.active, kept.keys, found.entry, kept.faces)))
+    outcome = Outcome(
+        found.entry,
+        found.approximated,
+        (*found.warnings, *write_back(~kept.active, kept.keys, found.entry, kept.faces)),
+    )
     rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
     outcome.entry.update(render(job, frame, rest).entry())
     outcome.entry.update(verified(job, None, None, rest, cancelled))
     _report(job, outcome, report)
 
 
-def run_frame(sessions: Sequence[Session], frame: int, report: Report, progress: Progress = silent, cancelled: Cancel = never, last: bool = True) -> None:
-    """One frame of a job, added to the report. last: nothing follows, so nothing need be kept for it. Raises InputError, Cancelled."""
+def run_frame(
+    sessions: Sequence[Session],
+    frame: int,
+    report: Report,
+    progress: Progress = silent,
+    cancelled: Cancel = never,
+    last: bool = True,
+) -> None:
+    """One frame of a job, added to the report. last: nothing follows, so nothing need be kept for it. Raises
+    InputError, Cancelled."""
     job = sessions[0].job
     budget = _verified_budget(job)
     outcome = _done(sessions, frame, progress, cancelled, last)
@@ -68,7 +84,9 @@ def run_frame(sessions: Sequence[Session], frame: int, report: Report, progress:
             break
         tighter = tightened(job, outcome.entry, attempt)
         with ExitStack() as stack:
-            outcome = _done([stack.enter_context(session) for session in sessions_of(tighter)], frame, progress, cancelled, True)
+            outcome = _done(
+                [stack.enter_context(session) for session in sessions_of(tighter)], frame, progress, cancelled, True
+            )
         outcome.entry["enforced"] = attempt + 1
     _report(job, outcome, report)
 
@@ -111,7 +129,10 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
         decided.save(job.states(frame))
         entry, warnings = decided.entry, decided.warnings
         if job.engine:
-            warnings = (*warnings, *write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry, decided.faces))
+            warnings = (
+                *warnings,
+                *write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry, decided.faces),
+            )
             approximated = decided.approximated
             del decided
             for session in sessions if last else ():
@@ -148,7 +169,9 @@ def _by_ours(session: Session, frame: int, progress: Progress, cancelled: Cancel
     decided.save(job.states(frame))
     if job.engine == "path":
         entry, scene, rest = decided.entry, extraction.scene, part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
-        entry["render_s"] = render_path(scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled, result.built)
+        entry["render_s"] = render_path(
+            scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled, result.built
+        )
         entry |= verified(job, scene, result.active, rest, cancelled)
     return decided
 
@@ -164,7 +187,9 @@ def hybrid(
     """Render a frame by the hybrid renderer; its figures go into the entry. decide: as of `render_hybrid`."""
     samples = job.samples or samples_of(bpy.context.scene, job.engine)
     stem = job.stem(entry["frame"])
-    result, figures = render_hybrid(extraction.scene, job.hybrid, job.options, stem, samples, job.seed, job.threads, progress, cancelled, decide)
+    result, figures = render_hybrid(
+        extraction.scene, job.hybrid, job.options, stem, samples, job.seed, job.threads, progress, cancelled, decide
+    )
     entry |= result.stats | figures
     return result
 
@@ -177,19 +202,36 @@ def render(job: Job, frame: int, progress: Progress) -> Rendered:
 
 
 def _render_whole(job: Job, frame: int, progress: Progress) -> dict[str, Any]:
-    """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed. Returns the entry for the report."""
+    """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed. Returns the
+    entry for the report."""
     show_frame(bpy.context.scene, frame)
     with counting() as counted:
         rendered = render(job, frame, part(progress, 0.0, 1.0, "rendering, "))
     n = len(counted.keys.records)
     nothing = np.zeros((n, RAY_TYPES), np.int64)
-    save_states(job.states(frame), np.full(n, State.ACTIVE, np.uint8), np.zeros(n, np.float32), nothing, counted.keys.records, counted.keys.names)
+    save_states(
+        job.states(frame),
+        np.full(n, State.ACTIVE, np.uint8),
+        np.zeros(n, np.float32),
+        nothing,
+        counted.keys.records,
+        counted.keys.names,
+    )
     counts = {"instances": n, "active": n, "meshes": counted.meshes}
-    return {"frame": frame, "sync_s": counted.seconds, **rendered.entry(), "render_s": rendered.seconds - counted.seconds, **counts}
+    return {
+        "frame": frame,
+        "sync_s": counted.seconds,
+        **rendered.entry(),
+        "render_s": rendered.seconds - counted.seconds,
+        **counts,
+    }
 
 
-def write_back(culled: np.ndarray, keys: Keys, entry: dict[str, Any], faces: Mapping[str, np.ndarray], lasting: bool = False) -> list[str]:
-    """Take culled (N,) bool out of renders of the open file; what that came to goes into the frame's entry, what could not be is said in the lines returned.
+def write_back(
+    culled: np.ndarray, keys: Keys, entry: dict[str, Any], faces: Mapping[str, np.ndarray], lasting: bool = False
+) -> list[str]:
+    """Take culled (N,) bool out of renders of the open file; what that came to goes into the frame's entry, what could
+    not be is said in the lines returned.
 
     faces: as of `States`. lasting: the file is to be saved so.
     """

@@ -33,16 +33,20 @@ def check(cancelled: Cancel) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """What to do with the open file. engine: one of `engines.ENGINES`, or "" to analyse only; samples: None as in the scene; threads: 0 for all.
+    """What to do with the open file. engine: one of `engines.ENGINES`, or "" to analyse only; samples: None as in the
+    scene; threads: 0 for all.
 
-    hybrid: for the engine of that name. bake: FRAME, each frame by itself, or SHOT, in all frames what any of them needs. save: where to save the .blend with
-    the set of the shot baked in. resume: leave frames alone that the folder has already. warm: a frame begins with what the one before it needed, and keeps
-    what that kept as long as it is worth something (hysteresis); else frames decide by themselves, and ranges can be split. shot: the frames that a set is for,
-    where `frames` are a part of them; other processes may do other parts into the same folder. verify: how many crops to render full as well, to state
-    the error that was measured (`verify`). enforce: where that breaks the budget, analyse again with a tighter one, and in the end keep everything.
-    device: where Cycles renders. as_scene: by the engine that the open scene is set to, which `engine` names, to its own files, all of its output included.
-    ahead: arguments of `lipac analyze` that decide the same in a process of its own, where that is to go on while frames are rendered; none: it is not.
-    texture_cache: for Cycles, the folder of Blender's files of tiles of images (`texture_cache`); None: as the scene is set.
+    hybrid: for the engine of that name. bake: FRAME, each frame by itself, or SHOT, in all frames what any of them
+    needs. save: where to save the .blend with the set of the shot baked in. resume: leave frames alone that the folder
+    has already. warm: a frame begins with what the one before it needed, and keeps what that kept as long as it is
+    worth something (hysteresis); else frames decide by themselves, and ranges can be split. shot: the frames that a set
+    is for, where `frames` are a part of them; other processes may do other parts into the same folder. verify: how many
+    crops to render full as well, to state the error that was measured (`verify`). enforce: where that breaks the
+    budget, analyse again with a tighter one, and in the end keep everything. device: where Cycles renders. as_scene: by
+    the engine that the open scene is set to, which `engine` names, to its own files, all of its output included. ahead:
+    arguments of `lipac analyze` that decide the same in a process of its own, where that is to go on while frames are
+    rendered; none: it is not. texture_cache: for Cycles, the folder of Blender's files of tiles of images
+    (`texture_cache`); None: as the scene is set.
     """
 
     folder: Path
@@ -83,7 +87,9 @@ class Job:
             return files_of(bpy.context.scene, frame)
         stem = self.stem(frame)
         endings = [] if not self.engine else [".exr", ".png"]
-        return [stem.with_name(stem.name + end) for end in [*endings, *(["_layers.exr"] if self.engine == "hybrid" else [])]]
+        return [
+            stem.with_name(stem.name + end) for end in [*endings, *(["_layers.exr"] if self.engine == "hybrid" else [])]
+        ]
 
     def is_finished(self, frame: int) -> bool:
         """Whether the folder has all files of a frame, each of them whole."""

@@ -27,7 +27,8 @@ STEREO = "stereo: each view sees something else, and one camera is analysed: not
 
 
 def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel = never) -> None:
-    """Work through the frames of a job; the report on disk is valid after each. Visibility in the open file is put back at the end, whatever happens.
+    """Work through the frames of a job; the report on disk is valid after each. Visibility in the open file is put back
+    at the end, whatever happens.
 
     Raises Cancelled soon after cancelled() says so.
     """
@@ -41,7 +42,8 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
         report.note(report.warnings, [STEREO])
     if job.engine == "cycles" and (note := find_device(bpy.context.scene, job.device).note):
         report.note(report.warnings, [note])
-    if reported is not None or not (job.folder / "report.json").exists():  # else what is there stays until there is something to say
+    # else what is there stays until there is something to say
+    if reported is not None or not (job.folder / "report.json").exists():
         report.write(job.folder)
     with muted():
         writeback.restore()
@@ -58,7 +60,8 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
 
 
 def _sweep(job: Job, keep_analyses: bool) -> None:
-    """Remove what a command that was killed left of files of these frames that it had begun to write; analyses for shots too, where they are not to be kept."""
+    """Remove what a command that was killed left of files of these frames that it had begun to write; analyses for
+    shots too, where they are not to be kept."""
     stems = {f"frame_{frame:04}" for frame in job.frames}
     sweep(job.folder, stems | {f"{stem}_layers" for stem in stems})
     for folder in (job.folder / "states", job.folder / "analysis"):
@@ -75,7 +78,14 @@ def _run_frames(job: Job, finished: set[int], report: Report, progress: Progress
     if job.ahead and not job.whole and not finished and len(todo) > 1:
         with Ahead(job.ahead, todo) as ahead:
             for k, frame in enumerate(todo):
-                run_frame_ahead(job, ahead, frame, report, part(progress, k / len(todo), (k + 1) / len(todo), f"frame {frame}: "), cancelled)
+                run_frame_ahead(
+                    job,
+                    ahead,
+                    frame,
+                    report,
+                    part(progress, k / len(todo), (k + 1) / len(todo), f"frame {frame}: "),
+                    cancelled,
+                )
                 report.write(job.folder)
         return
     with ExitStack() as stack:

@@ -32,9 +32,11 @@ class Session:
     """What goes from frame to frame of a job, for one view layer: the extractor, and the loop."""
 
     def __init__(self, job: Job, layer: str | None = None, keep: bool = True) -> None:
-        """layer: name, None takes the first that renders. keep: hold Blender's graph from frame to frame, where that pays: one at a time can."""
+        """layer: name, None takes the first that renders. keep: hold Blender's graph from frame to frame, where that
+        pays: one at a time can."""
         self.job, self.layer = job, layer
-        self.keep = keep and job.engine in ("", "path") and len(job.frames) > 1  # other engines make Blender free the graph
+        # other engines make Blender free the graph
+        self.keep = keep and job.engine in ("", "path") and len(job.frames) > 1
         self._extractor: Extractor | None = None
         self._shot: Shot | None = None
         self._pinned: np.ndarray | None = None  # what the frame needs at other moments of its exposure
@@ -59,7 +61,8 @@ class Session:
         gc.collect()
 
     def sync(self, frame: int) -> tuple[Extraction, dict[str, Any]]:
-        """Extract a frame of the open file with nothing culled; the second value is the frame's entry for the report so far."""
+        """Extract a frame of the open file with nothing culled; the second value is the frame's entry for the report so
+        far."""
         start = time.perf_counter()
         with muted():
             writeback.restore()
@@ -69,16 +72,20 @@ class Session:
         self._pinned = None
         return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}
 
-    def expose(self, extraction: Extraction, frame: int, progress: Progress = silent, cancelled: Cancel = never) -> Extraction:
-        """Find out what a frame needs while its shutter is open and things are elsewhere: it stays, whatever the frame's own moment needs. Returns the frame as
-        it is, extracted anew where there was anything to find out."""
+    def expose(
+        self, extraction: Extraction, frame: int, progress: Progress = silent, cancelled: Cancel = never
+    ) -> Extraction:
+        """Find out what a frame needs while its shutter is open and things are elsewhere: it stays, whatever the
+        frame's own moment needs. Returns the frame as it is, extracted anew where there was anything to find out."""
         if not extraction.moments or self._extractor is None:
             return extraction
         needed = []
         for k, moment in enumerate(extraction.moments):
             with muted():
                 other = self._extractor.frame(frame, True, moment)
-            within = part(progress, k / len(extraction.moments), (k + 1) / len(extraction.moments), f"{moment:+.2g} frames: ")
+            within = part(
+                progress, k / len(extraction.moments), (k + 1) / len(extraction.moments), f"{moment:+.2g} frames: "
+            )
             needed.append(other.keys.records[self.decide(other, None, within, cancelled).active])
         with muted():
             extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
@@ -90,8 +97,11 @@ class Session:
         if not self.keep:
             self._extractor = None
 
-    def decide(self, extraction: Extraction, scene: Scene | None = None, progress: Progress = silent, cancelled: Cancel = never) -> CullingResult:
-        """Which instances of the frame that was extracted last stay. scene: what to look at in its place, with the same instances and meshes."""
+    def decide(
+        self, extraction: Extraction, scene: Scene | None = None, progress: Progress = silent, cancelled: Cancel = never
+    ) -> CullingResult:
+        """Which instances of the frame that was extracted last stay. scene: what to look at in its place, with the same
+        instances and meshes."""
         from ...core.culling.shot import Shot
 
         if self.job.options.policy != LIGHT_PATHS and self.job.engine in BLENDER_ENGINES:
@@ -102,7 +112,8 @@ class Session:
 
 
 def _by_rule(scene: Scene, options: CullOptions, pinned: np.ndarray | None) -> CullingResult:
-    """What a policy without light paths keeps, and pinned, (N,) bool. No mesh need be read for it: the engine builds its own structures."""
+    """What a policy without light paths keeps, and pinned, (N,) bool. No mesh need be read for it: the engine builds
+    its own structures."""
     from ...core.culling.result import CullingResult
 
     start = time.perf_counter()
@@ -110,7 +121,14 @@ def _by_rule(scene: Scene, options: CullOptions, pinned: np.ndarray | None) -> C
     keep |= False if pinned is None else pinned
     n, active = len(keep), int(np.count_nonzero(keep))
     meshes = len(np.unique(scene.instances.mesh[keep]))
-    stats = {"instances": n, "active": active, "pending": 0, "culled": n - active, "meshes": meshes, "feedback_s": time.perf_counter() - start}
+    stats = {
+        "instances": n,
+        "active": active,
+        "pending": 0,
+        "culled": n - active,
+        "meshes": meshes,
+        "feedback_s": time.perf_counter() - start,
+    }
     nothing = np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64), np.zeros((0, 2, 3), np.float32)
     return CullingResult(np.where(keep, np.uint8(State.ACTIVE), np.uint8(State.CULLED)), *nothing, stats)
 

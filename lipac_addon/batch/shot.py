@@ -1,4 +1,5 @@
-"""One set of instances for all frames of a shot: what each needs by itself, and the job's frames with what any of them does."""
+"""One set of instances for all frames of a shot: what each needs by itself, and the job's frames with what any of them
+does."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
     _analyse(job, report, part(progress, 0.0, share), cancelled)
 
     def needed(frame: int) -> States:
-        """What a frame needs by itself. Another process that begins anew in the same folder may have removed it, or a fault have damaged it."""
+        """What a frame needs by itself. Another process that begins anew in the same folder may have removed it, or a
+        fault have damaged it."""
         for _ in range(TRIES):
             try:
                 return load_states(job.analysis(frame))
@@ -46,7 +48,9 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
         shot.add(needed(frame))
     if job.save is not None or job.engine in BLENDER_ENGINES:
         written: dict[str, Any] = {}
-        report.note(report.warnings, write_back(~shot.active, shot.keys, written, shot.faces, lasting=job.save is not None))
+        report.note(
+            report.warnings, write_back(~shot.active, shot.keys, written, shot.faces, lasting=job.save is not None)
+        )
     if job.save is not None:
         save_baked(job.save)
     with Session(job) as session:
@@ -54,11 +58,21 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
             check(cancelled)
             if frame in finished:
                 continue
-            within = part(progress, share + (1 - share) * k / len(job.frames), share + (1 - share) * (k + 1) / len(job.frames), f"frame {frame}: ")
+            within = part(
+                progress,
+                share + (1 - share) * k / len(job.frames),
+                share + (1 - share) * (k + 1) / len(job.frames),
+                f"frame {frame}: ",
+            )
             states = needed(frame)
             active = shot.of(states)
             entry: dict[str, Any] = json.loads(states.note)
-            entry |= {"needed": entry["active"], "active": int(active.sum()), "culled": int((~active).sum()), "pending": 0}
+            entry |= {
+                "needed": entry["active"],
+                "active": int(active.sum()),
+                "culled": int((~active).sum()),
+                "pending": 0,
+            }
             if job.engine in BLENDER_ENGINES:
                 show_frame(bpy.context.scene, frame)
                 entry |= {**written, "writeback_s": written["writeback_s"] / len(job.frames)}
@@ -66,33 +80,54 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
             elif job.engine:
                 _render_kept(session, frame, active, entry, within, cancelled)
             state = np.where(active, State.ACTIVE, State.CULLED).astype(np.uint8)
-            save_states(job.states(frame), state, states.score, states.hits, shot.records_of(states), shot.keys.names, faces=shot.faces)
+            save_states(
+                job.states(frame),
+                state,
+                states.score,
+                states.hits,
+                shot.records_of(states),
+                shot.keys.names,
+                faces=shot.faces,
+            )
             report.add_frame(entry)
             report.write(job.folder)
 
 
-def _render_kept(session: Session, frame: int, active: np.ndarray, entry: dict[str, Any], progress: Progress, cancelled: Cancel) -> None:
+def _render_kept(
+    session: Session, frame: int, active: np.ndarray, entry: dict[str, Any], progress: Progress, cancelled: Cancel
+) -> None:
     """Render a frame by one of our engines with the instances that are active, (N,) bool."""
     job = session.job
     extraction, synced = session.sync(frame)
     check(cancelled)
     entry["sync_s"] += synced["sync_s"]
     if job.engine == "path":
-        entry["render_s"] = render_path(extraction.scene, active, job.stem(frame), job.samples, job.seed, job.threads, progress, cancelled)
+        entry["render_s"] = render_path(
+            extraction.scene, active, job.stem(frame), job.samples, job.seed, job.threads, progress, cancelled
+        )
         return
     from ...core.culling.loop import Loop
 
     n, before = len(active), dict(entry)
     nothing = np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64)
-    changes = {name: before[name] for name in ("certified_mean",) if name in before}  # more is kept than what that was measured without
-    hybrid(job, extraction, entry, progress, cancelled, lambda scene: Loop(scene, job.options, cancelled).result(active, *nothing, **changes))
+    # more is kept than what that was measured without
+    changes = {name: before[name] for name in ("certified_mean",) if name in before}
+    hybrid(
+        job,
+        extraction,
+        entry,
+        progress,
+        cancelled,
+        lambda scene: Loop(scene, job.options, cancelled).result(active, *nothing, **changes),
+    )
     entry |= {name: before[name] for name in ("paths", "rays", "iterations", "trace_s", "feedback_s")}
 
 
 def _analyse(job: Job, report: Report, progress: Progress, cancelled: Cancel) -> None:
     """Save what each frame of the shot needs by itself, for those that have not been looked at yet.
 
-    The job's own come first, then, from the last one on, those that no other process has done by then: so two that share a shot meet in the middle.
+    The job's own come first, then, from the last one on, those that no other process has done by then: so two that
+    share a shot meet in the middle.
     """
     (job.folder / "analysis").mkdir(exist_ok=True)
     others = [frame for frame in reversed(job.shot) if frame not in job.frames]

@@ -14,8 +14,8 @@ from ..keys import KEY, Keys, Kind, packed
 class ShotSet:
     """The instances of all frames that were added, found again from frame to frame by their keys.
 
-    active: (N,) bool, those that were kept in one of the frames; `keys` belong to it. faces: by name of an object that no frame keeps as a whole, (F,) bool,
-    faces that one of them keeps.
+    active: (N,) bool, those that were kept in one of the frames; `keys` belong to it. faces: by name of an object that
+    no frame keeps as a whole, (F,) bool, faces that one of them keeps.
     """
 
     def __init__(self) -> None:

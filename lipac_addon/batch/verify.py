@@ -1,6 +1,8 @@
-"""What culling changed in a frame, measured by the engine that renders it: crops of the picture, rendered full and culled with the same random numbers.
+"""What culling changed in a frame, measured by the engine that renders it: crops of the picture, rendered full and
+culled with the same random numbers.
 
-The analysis states the error that its own path tracer measured. This asks the engine whose picture it is, at the price of rendering crops of the full scene.
+The analysis states the error that its own path tracer measured. This asks the engine whose picture it is, at the price
+of rendering crops of the full scene.
 """
 
 from __future__ import annotations
@@ -38,10 +40,12 @@ Crop = tuple[int, int]
 
 @dataclass(frozen=True)
 class Verified:
-    """Relative change of the coarse tiles of the crops: their mean, and the worst of them. crops: (K,) columns and rows of GRID, rows from the bottom.
+    """Relative change of the coarse tiles of the crops: their mean, and the worst of them. crops: (K,) columns and rows
+    of GRID, rows from the bottom.
 
-    least_mean, least_worst: what is left of both when what noise may make is taken off, by the pixels' differences: of each tile the mean size of its noise,
-    and NOISE standard errors of all tiles; of the worst tile as many standard errors as are as rare for the worst of so many as NOISE are for one.
+    least_mean, least_worst: what is left of both when what noise may make is taken off, by the pixels' differences: of
+    each tile the mean size of its noise, and NOISE standard errors of all tiles; of the worst tile as many standard
+    errors as are as rare for the worst of so many as NOISE are for one.
     """
 
     mean: float
@@ -63,8 +67,10 @@ class Verified:
     def warning(self, budget: Budget) -> str:
         """What to tell where it is."""
         return (
-            f"verified: the picture changes by {100 * self.mean:.2g} % in the mean, {100 * self.worst:.2g} % in the worst tile, which is more than the "
-            f"{100 * budget.mean:.2g} % and {100 * budget.worst:.2g} % that --max-error allows; --enforce repeats the analysis until it is not"
+            f"verified: the picture changes by {100 * self.mean:.2g} % in the mean, {100 * self.worst:.2g} % in the "
+            "worst tile, which is more than the "
+            f"{100 * budget.mean:.2g} % and {100 * budget.worst:.2g} % that --max-error allows; --enforce repeats the "
+            "analysis until it is not"
         )
 
 
@@ -75,26 +81,51 @@ def random_crops(count: int, seed: int) -> tuple[Crop, ...]:
 
 
 def verified_blender(
-    engine: str, samples: int | None, seed: int, threads: int, count: int, progress: Progress = silent, device: DeviceChoice = AS_SET
+    engine: str,
+    samples: int | None,
+    seed: int,
+    threads: int,
+    count: int,
+    progress: Progress = silent,
+    device: DeviceChoice = AS_SET,
 ) -> Verified:
-    """The change of so many crops of the open file's current frame, whose culling is applied and is not afterwards; options as of `render_blender`."""
+    """The change of so many crops of the open file's current frame, whose culling is applied and is not afterwards;
+    options as of `render_blender`."""
     crops = random_crops(count, seed)
     culled = _blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.0, 0.3, "culled, "))
     with muted():
         writeback.restore()
-    return change(_blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.3, 1.0, "full, ")), culled, crops)
+    return change(
+        _blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.3, 1.0, "full, ")), culled, crops
+    )
 
 
-def verified_path(scene: Scene, active: NDArray[np.bool_], samples: int, seed: int, threads: int, count: int, cancelled: Callable[[], bool]) -> Verified:
-    """The change of so many crops of a core scene by the path tracer, with only active, (N,) bool, in it. Raises Cancelled."""
+def verified_path(
+    scene: Scene,
+    active: NDArray[np.bool_],
+    samples: int,
+    seed: int,
+    threads: int,
+    count: int,
+    cancelled: Callable[[], bool],
+) -> Verified:
+    """The change of so many crops of a core scene by the path tracer, with only active, (N,) bool, in it. Raises
+    Cancelled."""
     crops = random_crops(count, seed)
     return change(*_path_crops(scene, active, samples, seed, threads, crops, cancelled), crops)
 
 
 def _blender_crops(
-    engine: str, samples: int | None, seed: int, threads: int, device: DeviceChoice, crops: tuple[Crop, ...], progress: Progress = silent
+    engine: str,
+    samples: int | None,
+    seed: int,
+    threads: int,
+    device: DeviceChoice,
+    crops: tuple[Crop, ...],
+    progress: Progress = silent,
 ) -> list[F32]:
-    """Each crop of the open file's current frame, as it is now, by one of Blender's engines: (h, w, 4) float32. Options as of `render_blender`."""
+    """Each crop of the open file's current frame, as it is now, by one of Blender's engines: (h, w, 4) float32. Options
+    as of `render_blender`."""
     out = []
     with tempfile.TemporaryDirectory(prefix="lipac") as folder:
         for k, (x, y) in enumerate(crops):
@@ -107,9 +138,16 @@ def _blender_crops(
 
 
 def _path_crops(
-    scene: Scene, active: NDArray[np.bool_], samples: int, seed: int, threads: int, crops: tuple[Crop, ...], cancelled: Callable[[], bool]
+    scene: Scene,
+    active: NDArray[np.bool_],
+    samples: int,
+    seed: int,
+    threads: int,
+    crops: tuple[Crop, ...],
+    cancelled: Callable[[], bool],
 ) -> tuple[list[F32], list[F32]]:
-    """Each crop of a core scene by the path tracer, full and with only active, (N,) bool, in it: (h, w, 4) float32. Raises Cancelled."""
+    """Each crop of a core scene by the path tracer, full and with only active, (N,) bool, in it: (h, w, 4) float32.
+    Raises Cancelled."""
     height, width = scene.film.height, scene.film.width
     loop = Loop(scene, CullOptions(width=width, seed=seed ^ PATH_SEED, threads=threads), cancelled)
     columns, rows = np.arange(width) * GRID[0] // width, np.arange(height) * GRID[1] // height
@@ -117,7 +155,9 @@ def _path_crops(
     only = np.zeros((height, width, min(samples, PATH_SAMPLES)), np.uint8)
     for place in places:
         only[place] = 1
-    full, culled = (loop.tracer.trace_paths(keep, 0, only)[0] for keep in (loop.activation.exists, active & loop.activation.exists))
+    full, culled = (
+        loop.tracer.trace_paths(keep, 0, only)[0] for keep in (loop.activation.exists, active & loop.activation.exists)
+    )
     return [full[place] for place in places], [culled[place] for place in places]
 
 
@@ -125,12 +165,17 @@ def change(full: list[F32], culled: list[F32], crops: tuple[Crop, ...]) -> Verif
     """The change between crops that were rendered full and culled."""
     a = np.concatenate([_tiles(_luminance(p)) for p in full])
     d = [_luminance(q) - _luminance(p) for p, q in zip(full, culled, strict=True)]
-    change, square, count = (np.concatenate([_tiles(x) for x in each]) for each in (d, [x**2 for x in d], [np.full(x.shape, 1 / _per_tile(x)) for x in d]))
+    change, square, count = (
+        np.concatenate([_tiles(x) for x in each])
+        for each in (d, [x**2 for x in d], [np.full(x.shape, 1 / _per_tile(x)) for x in d])
+    )
     light = np.maximum(a, max(DARK * float(a.mean()), 1e-30))
     size, noise = np.abs(change) / light, np.sqrt(np.maximum(square - change**2, 0.0) * count) / light
     least_mean = size.mean() - np.sqrt(2 / np.pi) * noise.mean() - NOISE * np.sqrt((noise**2).sum()) / len(size)
     least_worst = (size - NORMAL.inv_cdf(1 - (1 - NORMAL.cdf(NOISE)) / len(size)) * noise).max()
-    return Verified(float(size.mean()), float(size.max()), max(float(least_mean), 0.0), max(float(least_worst), 0.0), crops)
+    return Verified(
+        float(size.mean()), float(size.max()), max(float(least_mean), 0.0), max(float(least_worst), 0.0), crops
+    )
 
 
 def _luminance(crop: F32) -> F64:
@@ -147,4 +192,6 @@ def _tiles(luminance: F64) -> F64:
     columns, rows = COLUMNS // GRID[0], ROWS // GRID[1]
     y, x = (np.arange(n) * of // n for n, of in zip(luminance.shape, (rows, columns), strict=True))
     tile = (y[:, None] * columns + x[None, :]).ravel()
-    return np.bincount(tile, luminance.ravel(), rows * columns) / np.maximum(np.bincount(tile, minlength=rows * columns), 1)
+    return np.bincount(tile, luminance.ravel(), rows * columns) / np.maximum(
+        np.bincount(tile, minlength=rows * columns), 1
+    )

@@ -18,9 +18,11 @@ SCENES: dict[str, Callable[..., None]] = {
 
 
 def build(name: str, instances: int | None = None, seed: int = 0, figure: Path | None = None) -> None:
-    """Replace what Blender has open by the demo scene `name`: `instances` instances (None: the scene's default), the same for the same seed.
+    """Replace what Blender has open by the demo scene `name`: `instances` instances (None: the scene's default), the
+    same for the same seed.
 
-    figure: file with the animated character of `crowd`, None for one of our own. Raises InputError for an unknown name, an unusable number or file.
+    figure: file with the animated character of `crowd`, None for one of our own. Raises InputError for an unknown name,
+    an unusable number or file.
     """
     if name not in SCENES:
         raise InputError(f'there is no demo scene "{name}": choose one of {", ".join(sorted(SCENES))}')

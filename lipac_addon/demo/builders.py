@@ -44,12 +44,17 @@ def mesh(name: str, solid: Solid, materials: Sequence[bpy.types.Material]) -> bp
 
 
 def scatter(
-    name: str, sources: Sequence[bpy.types.Object | bpy.types.Collection], points: np.ndarray, kind: np.ndarray, turn: np.ndarray, size: np.ndarray
+    name: str,
+    sources: Sequence[bpy.types.Object | bpy.types.Collection],
+    points: np.ndarray,
+    kind: np.ndarray,
+    turn: np.ndarray,
+    size: np.ndarray,
 ) -> bpy.types.Object:
     """An object whose geometry nodes place `sources[kind[i]]` at `points[i]`, turned and scaled, for every i.
 
-    sources: objects, or collections, which come as wholes. points (N, 3) metres, kind (N,) index, turn (N,) radians about Z or (N, 3) Euler angles, size (N,)
-    factor. The instances are rows 0..N-1 of the object's instance cloud.
+    sources: objects, or collections, which come as wholes. points (N, 3) metres, kind (N,) index, turn (N,) radians
+    about Z or (N, 3) Euler angles, size (N,) factor. The instances are rows 0..N-1 of the object's instance cloud.
     """
     library = bpy.data.collections.new(f"{name} parts")  # linked to no scene: its objects appear as instances only
     for k, source in enumerate(sources):
@@ -59,7 +64,9 @@ def scatter(
     data.vertices.add(len(points))
     data.vertices.foreach_set("co", points.ravel().astype(np.float32))
     for attribute, type_, values in (("kind", "INT8", kind), ("size", "FLOAT", size)):
-        data.attributes.new(attribute, type_, "POINT").data.foreach_set("value", values.astype(np.int8 if type_ == "INT8" else np.float32))
+        data.attributes.new(attribute, type_, "POINT").data.foreach_set(
+            "value", values.astype(np.int8 if type_ == "INT8" else np.float32)
+        )
     turns = turn if turn.ndim == 2 else np.column_stack([np.zeros((len(turn), 2)), turn])
     data.attributes.new("turn", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", turns.ravel().astype(np.float32))
     host = bpy.data.objects.new(name, data)

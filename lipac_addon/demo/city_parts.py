@@ -1,4 +1,5 @@
-"""Buildings and street furniture of the demo city, as `Solid`s. Buildings: facade at y = 0 looking along -Y, 12 m wide, 12 m deep, foot at z = 0."""
+"""Buildings and street furniture of the demo city, as `Solid`s. Buildings: facade at y = 0 looking along -Y, 12 m wide,
+12 m deep, foot at z = 0."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ PAINT, CAR_GLASS, TYRE, CHROME = range(4)
 
 
 def building(rng: np.random.Generator, storeys: int, bays: int, roof: str, balconies: bool, arched: bool) -> Solid:
-    """A town house with `storeys` above a shop floor; `roof` is flat, mansard or gable; `arched` windows carry a stepped head."""
+    """A town house with `storeys` above a shop floor; `roof` is flat, mansard or gable; `arched` windows carry a
+    stepped head."""
     s = Solid()
     eaves = GROUND_FLOOR + storeys * STOREY
     window = (min(1.5, WIDTH / bays * 0.5), 1.9)
@@ -32,9 +34,15 @@ def building(rng: np.random.Generator, storeys: int, bays: int, roof: str, balco
     if arched:
         for step, (rise, inset) in enumerate(((0.12, 0.0), (0.3, 0.18), (0.45, 0.45))):
             top = z + window[1] + rise
-            s.boxes(_points(x - half - 0.18 + inset, -0.14 + 0.02 * step, z + window[1]), _points(x + half + 0.18 - inset, 0.02, top), TRIM)
+            s.boxes(
+                _points(x - half - 0.18 + inset, -0.14 + 0.02 * step, z + window[1]),
+                _points(x + half + 0.18 - inset, 0.02, top),
+                TRIM,
+            )
     else:
-        s.boxes(_points(x - half - 0.2, -0.16, z + window[1]), _points(x + half + 0.2, 0.02, z + window[1] + 0.22), TRIM)
+        s.boxes(
+            _points(x - half - 0.2, -0.16, z + window[1]), _points(x + half + 0.2, 0.02, z + window[1] + 0.22), TRIM
+        )
     if balconies:
         _balconies(s, x[bays:], z[bays:], half)
     for k in range(1, storeys):  # a string course between storeys
@@ -56,7 +64,8 @@ def _rectangles(x0: F64, x1: F64, z0: F64, z1: F64, y: float | F64, back: bool =
 
 
 def _facade(s: Solid, centres: F64, sills: F64, window: tuple[float, float], eaves: float, detailed: bool) -> None:
-    """Wall with a recess, a pane and, in front, sash bars and a sill at every window; the sides are blank party walls."""
+    """Wall with a recess, a pane and, in front, sash bars and a sill at every window; the sides are blank party
+    walls."""
     back = not detailed
     face, depth = (DEPTH, -0.28) if back else (0.0, 0.28)
     half = window[0] / 2
@@ -71,9 +80,11 @@ def _facade(s: Solid, centres: F64, sills: F64, window: tuple[float, float], eav
     s.quads(_rectangles(x0, x1, z0, z1, inner, back), GLASS)
     rim = (x0, x1, z0, z1)
     for c in range(4):  # the four faces of the recess
-        ax, az = (rim[(0, 1, 1, 0)[c]], rim[(2, 2, 3, 3)[c]])
-        bx, bz = (rim[(1, 1, 0, 0)[c]], rim[(2, 3, 3, 2)[c]])
-        strip = np.stack([_points(ax, face, az), _points(bx, face, bz), _points(bx, inner, bz), _points(ax, inner, az)], 1)
+        ax, az = rim[(0, 1, 1, 0)[c]], rim[(2, 2, 3, 3)[c]]
+        bx, bz = rim[(1, 1, 0, 0)[c]], rim[(2, 3, 3, 2)[c]]
+        strip = np.stack(
+            [_points(ax, face, az), _points(bx, face, bz), _points(bx, inner, bz), _points(ax, inner, az)], 1
+        )
         s.quads(strip[:, ::-1] if back else strip, TRIM)
     if back:
         low, high = -WIDTH / 2, WIDTH / 2
@@ -137,7 +148,9 @@ def _cornice(s: Solid, eaves: float) -> None:
     for rise, out in ((-0.5, 0.12), (-0.2, 0.4), (0.0, 0.55)):
         s.boxes((-WIDTH / 2, -out, eaves + rise), (WIDTH / 2, 0.1, eaves + rise + 0.22), TRIM)
     at = np.arange(-WIDTH / 2 + 0.2, WIDTH / 2, 0.6)
-    s.boxes(_points(at, -0.34, np.full(len(at), eaves - 0.42)), _points(at + 0.25, 0.0, np.full(len(at), eaves - 0.2)), TRIM)
+    s.boxes(
+        _points(at, -0.34, np.full(len(at), eaves - 0.42)), _points(at + 0.25, 0.0, np.full(len(at), eaves - 0.2)), TRIM
+    )
 
 
 def _chimneys(s: Solid, rng: np.random.Generator, z: float, height: float) -> None:
@@ -188,7 +201,12 @@ def _gable_roof(s: Solid, rng: np.random.Generator, eaves: float, centres: F64) 
     s.quads(
         [
             [[low, -0.5, eaves + 0.1], [high, -0.5, eaves + 0.1], [high, DEPTH / 2, ridge], [low, DEPTH / 2, ridge]],
-            [[high, DEPTH + 0.5, eaves + 0.1], [low, DEPTH + 0.5, eaves + 0.1], [low, DEPTH / 2, ridge], [high, DEPTH / 2, ridge]],
+            [
+                [high, DEPTH + 0.5, eaves + 0.1],
+                [low, DEPTH + 0.5, eaves + 0.1],
+                [low, DEPTH / 2, ridge],
+                [high, DEPTH / 2, ridge],
+            ],
         ],
         ROOF,
     )
@@ -223,11 +241,17 @@ def tree(rng: np.random.Generator, height: float, leaves: int) -> Solid:
     s.column((0, 0, 0), (0.2, 0.13), height * 0.5, 0)
     for _ in range(5):
         tip = np.array([rng.uniform(-1, 1), rng.uniform(-1, 1), height * rng.uniform(0.65, 0.85)])
-        foot = np.array([[-0.06, -0.06, 0], [0.06, -0.06, 0], [0.06, 0.06, 0], [-0.06, 0.06, 0]]) + np.array([0, 0, height * 0.42])
+        foot = np.array([[-0.06, -0.06, 0], [0.06, -0.06, 0], [0.06, 0.06, 0], [-0.06, 0.06, 0]]) + np.array(
+            [0, 0, height * 0.42]
+        )
         s.frustum(foot, foot * (0.4, 0.4, 0) + tip, 0)
     blobs = 7
     for k in range(blobs):
-        c = (rng.uniform(-1.1, 1.1), rng.uniform(-1.1, 1.1), height * rng.uniform(0.55, 0.9)) if k else (0, 0, height * 0.7)
+        c = (
+            (rng.uniform(-1.1, 1.1), rng.uniform(-1.1, 1.1), height * rng.uniform(0.55, 0.9))
+            if k
+            else (0, 0, height * 0.7)
+        )
         r = height * rng.uniform(0.14, 0.2) if k else height * 0.24
         s.leaves(rng, c, (r, r, r * 0.85), leaves // blobs, 0.11, 1)
     return s
@@ -246,7 +270,8 @@ def car(van: bool) -> Solid:
     front, back = ((1.35, 1.75), (-2.0, -2.0)) if van else ((0.6, 1.25), (-1.35, -1.85))
     s.frustum(ring(back[1], front[1], 0.82, 0.92), ring(back[0], front[0], 0.66, roof), CAR_GLASS, cap=PAINT)
     s.boxes((back[0] - 0.05, -0.69, roof - 0.04), (front[0] + 0.05, 0.69, roof + 0.04), PAINT)
-    for x in (back[1] * 0.5 + back[0] * 0.5, front[0] * 0.35 + back[0] * 0.65, front[0] * 0.5 + front[1] * 0.5):  # pillars
+    # pillars
+    for x in (back[1] * 0.5 + back[0] * 0.5, front[0] * 0.35 + back[0] * 0.65, front[0] * 0.5 + front[1] * 0.5):
         s.boxes((x - 0.06, -0.79, 0.9), (x + 0.06, 0.79, roof - 0.02), PAINT)
     for x in (-1.35, 1.3):
         for y in (-0.9, 0.68):

@@ -1,6 +1,8 @@
-"""`crowd`: characters with skeletons fill a few parallel streets, each deformed on its own, at its own place in its walk.
+"""`crowd`: characters with skeletons fill a few parallel streets, each deformed on its own, at its own place in its
+walk.
 
-The camera stands in the middle street among them. It sees those near it, in the glass of a shop front some more, and nothing of the other streets.
+The camera stands in the middle street among them. It sees those near it, in the glass of a shop front some more, and
+nothing of the other streets.
 """
 
 from __future__ import annotations
@@ -28,11 +30,19 @@ LENGTH = 8 * WIDTH  # of a street
 _WALK = 6.0  # half the width that people walk on, in metres
 _STREET = 18.0  # from front to front
 _SPEED = 0.05  # metres per frame
-_SHIRTS = ((0.5, 0.06, 0.05), (0.07, 0.2, 0.45), (0.1, 0.35, 0.12), (0.6, 0.5, 0.1), (0.55, 0.55, 0.52), (0.3, 0.1, 0.35))
+_SHIRTS = (
+    (0.5, 0.06, 0.05),
+    (0.07, 0.2, 0.45),
+    (0.1, 0.35, 0.12),
+    (0.6, 0.5, 0.1),
+    (0.55, 0.55, 0.52),
+    (0.3, 0.1, 0.35),
+)
 
 
 def build(instances: int | None, seed: int, path: Path | None = None) -> None:
-    """Replace the open file by a crowd of `instances` figures (1 to 20,000): the character in the file `path`, or one of our own.
+    """Replace the open file by a crowd of `instances` figures (1 to 20,000): the character in the file `path`, or one
+    of our own.
 
     Raises InputError for an unusable number or file.
     """
@@ -59,7 +69,8 @@ def build(instances: int | None, seed: int, path: Path | None = None) -> None:
 
 
 def places(count: int, rng: np.random.Generator) -> F64:
-    """Where figures stand: (count, 4) x, y in metres, street (0 is the camera's, then alternately left and right), direction of walk (1 or -1)."""
+    """Where figures stand: (count, 4) x, y in metres, street (0 is the camera's, then alternately left and right),
+    direction of walk (1 or -1)."""
     k = np.arange(count)
     street = k // PER_STREET
     middle = np.where(street % 2, (street + 1) // 2, -(street // 2)) * (_STREET + 2 * DEPTH)
@@ -142,18 +153,40 @@ def _streets(scene: bpy.types.Scene, count: int, rng: np.random.Generator) -> No
     _object(scene, "Ground", ground, [material("Paving", (0.36, 0.34, 0.31), 0.8)])
     kinds = []
     for k in range(6):
-        solid = parts.building(rng, 3 + k % 3, bays=(3, 4, 5)[k % 3], roof=("mansard", "flat", "gable")[k % 3], balconies=k % 2 == 0, arched=k % 2 == 1)
+        solid = parts.building(
+            rng,
+            3 + k % 3,
+            bays=(3, 4, 5)[k % 3],
+            roof=("mansard", "flat", "gable")[k % 3],
+            balconies=k % 2 == 0,
+            arched=k % 2 == 1,
+        )
         colors = ((0.52, 0.18, 0.11), (0.75, 0.62, 0.42), (0.36, 0.45, 0.52))
-        walls = [material(f"Wall {k % 3}", colors[k % 3], 0.85), material("Stone", (0.62, 0.58, 0.50), 0.8), material("Window", (0.02, 0.03, 0.04), 0.04)]
-        walls += [material("Frame", (0.8, 0.78, 0.72), 0.4), material("Slate", (0.07, 0.08, 0.1), 0.5), material("Accent", (0.05, 0.22, 0.18), 0.4)]
+        walls = [
+            material(f"Wall {k % 3}", colors[k % 3], 0.85),
+            material("Stone", (0.62, 0.58, 0.50), 0.8),
+            material("Window", (0.02, 0.03, 0.04), 0.04),
+        ]
+        walls += [
+            material("Frame", (0.8, 0.78, 0.72), 0.4),
+            material("Slate", (0.07, 0.08, 0.1), 0.5),
+            material("Accent", (0.05, 0.22, 0.18), 0.4),
+        ]
         kinds.append(mesh(f"House {k}", solid, walls))
     for street in range(count):
         middle = ((street + 1) // 2 if street % 2 else -(street // 2)) * pitch
         for side in (-1, 1):
             for y in np.arange(-LENGTH / 2 + WIDTH / 2, LENGTH / 2, WIDTH):
-                _house(scene, kinds[rng.integers(len(kinds))], (middle + side * _STREET / 2, float(y)), -side * math.pi / 2)
+                _house(
+                    scene, kinds[rng.integers(len(kinds))], (middle + side * _STREET / 2, float(y)), -side * math.pi / 2
+                )
             for x in (-WIDTH / 2 - 3.0, WIDTH / 2 + 3.0):
-                _house(scene, kinds[rng.integers(len(kinds))], (middle + x, side * LENGTH / 2), 0.0 if side > 0 else math.pi)
+                _house(
+                    scene,
+                    kinds[rng.integers(len(kinds))],
+                    (middle + x, side * LENGTH / 2),
+                    0.0 if side > 0 else math.pi,
+                )
     glass = Solid()
     glass.quads([[[0, -5, 0.4], [0, 5, 0.4], [0, 5, 3.2], [0, -5, 3.2]]], 0)
     pane = _object(scene, "Shop front", glass, [material("Mirror", (0.95, 0.95, 0.95), 0.0, 1.0)])

@@ -1,7 +1,9 @@
-"""`family`: random scatters, each from one number: what people scatter, in sizes from a tenth of a pixel to a hundred, and an error budget.
+"""`family`: random scatters, each from one number: what people scatter, in sizes from a tenth of a pixel to a hundred,
+and an error budget.
 
-No single instance of most of these scenes matters, and all of them together do. A seed draws a kind (`family_kinds`), how many instances there are and how
-large they look, what they are made of, what lights them, and what they are seen through. Whoever finds a budget broken needs to know the seed alone.
+No single instance of most of these scenes matters, and all of them together do. A seed draws a kind (`family_kinds`),
+how many instances there are and how large they look, what they are made of, what lights them, and what they are seen
+through. Whoever finds a budget broken needs to know the seed alone.
 """
 
 from __future__ import annotations
@@ -29,8 +31,9 @@ CLUSTER = 5  # parts of each instance, where instances are clusters
 class Draw:
     """What a seed draws.
 
-    kind: name in `KINDS`; count: rows of the scatter; pixels: size of an instance where it is about in the middle of the scatter, in a picture of `SIZE`;
-    clusters: whether a row is a collection of CLUSTER parts; mean, worst: the budget; lights: names; veil: what all is seen through or in, "" for nothing.
+    kind: name in `KINDS`; count: rows of the scatter; pixels: size of an instance where it is about in the middle of
+    the scatter, in a picture of `SIZE`; clusters: whether a row is a collection of CLUSTER parts; mean, worst: the
+    budget; lights: names; veil: what all is seen through or in, "" for nothing.
     """
 
     seed: int
@@ -60,11 +63,22 @@ def draw(seed: int) -> Draw:
     if lights is None:
         lights = tuple(str(x) for x in rng.choice(LIGHTS, rng.integers(1, 4), replace=False))
     veil = str(rng.choice(["", "glass", "mirror"], p=[0.8, 0.1, 0.1])) if kind.veils else ""
-    return Draw(seed, name, count, pixels, bool(rng.random() < 0.25) and kind.clusters, mean, min(spread * mean, 1.0), lights, veil)
+    return Draw(
+        seed,
+        name,
+        count,
+        pixels,
+        bool(rng.random() < 0.25) and kind.clusters,
+        mean,
+        min(spread * mean, 1.0),
+        lights,
+        veil,
+    )
 
 
 def build(instances: int | None, seed: int) -> None:
-    """Replace the open file by the scene of a seed, with so many rows in its scatter, None: as many as the seed draws. Raises InputError for bad numbers."""
+    """Replace the open file by the scene of a seed, with so many rows in its scatter, None: as many as the seed draws.
+    Raises InputError for bad numbers."""
     drawn = draw(seed)
     if instances is not None and not 1 <= instances <= MOST:
         raise InputError(f"family takes 1 to {MOST:,} instances, not {instances:,}: change --instances")

@@ -18,9 +18,9 @@ _REC709 = np.array([0.2126, 0.7152, 0.0722])
 
 @dataclass(frozen=True)
 class Kind:
-    """build: (stage, count, pixels) -> where instances are. lights: the lamps that it needs, None: any; veils: whether it may be seen through glass or in a
-    mirror; clusters: whether an instance may be several things; largest: pixels; layers: of instances over the whole picture, at most: what is large comes in
-    smaller numbers."""
+    """build: (stage, count, pixels) -> where instances are. lights: the lamps that it needs, None: any; veils: whether
+    it may be seen through glass or in a mirror; clusters: whether an instance may be several things; largest: pixels;
+    layers: of instances over the whole picture, at most: what is large comes in smaller numbers."""
 
     build: Callable[[Stage, int, float], Scatter]
     lights: tuple[str, ...] | None = None
@@ -48,7 +48,9 @@ def _shapes(stage: Stage, most: int = 3) -> tuple[str, ...]:
     return tuple(str(x) for x in stage.rng.choice(_SOLID, stage.rng.integers(1, most + 1)))
 
 
-def _on_the_ground(stage: Stage, count: int, pixels: float, near: float, far: float, shapes: tuple[str, ...], turn: F64) -> Scatter:
+def _on_the_ground(
+    stage: Stage, count: int, pixels: float, near: float, far: float, shapes: tuple[str, ...], turn: F64
+) -> Scatter:
     """Between two distances, over somewhat less to a good deal more than the width of the picture."""
     stage.ground()
     middle = math.sqrt(near * far)
@@ -61,19 +63,31 @@ def _on_the_ground(stage: Stage, count: int, pixels: float, near: float, far: fl
 
 def lawn(stage: Stage, count: int, pixels: float) -> Scatter:
     """Blades up to the horizon."""
-    return _on_the_ground(stage, count, pixels, 3.0, float(stage.rng.uniform(15, 60)), ("blade",) * int(stage.rng.integers(1, 3)), _upright(stage, count))
+    return _on_the_ground(
+        stage,
+        count,
+        pixels,
+        3.0,
+        float(stage.rng.uniform(15, 60)),
+        ("blade",) * int(stage.rng.integers(1, 3)),
+        _upright(stage, count),
+    )
 
 
 def heap(stage: Stage, count: int, pixels: float) -> Scatter:
     """Things of all kinds that lie about."""
-    return _on_the_ground(stage, count, pixels, 4.0, float(stage.rng.uniform(8, 20)), _shapes(stage), _tumbled(stage, count))
+    return _on_the_ground(
+        stage, count, pixels, 4.0, float(stage.rng.uniform(8, 20)), _shapes(stage), _tumbled(stage, count)
+    )
 
 
 def posts(stage: Stage, count: int, pixels: float) -> Scatter:
     """A wide field of things that stand, seen along the ground."""
     stage.eye = 1.2
     stage.scene.camera.location.z = stage.eye
-    return _on_the_ground(stage, count, pixels, 4.0, float(stage.rng.uniform(40, 120)), ("blade", "rod"), _upright(stage, count))
+    return _on_the_ground(
+        stage, count, pixels, 4.0, float(stage.rng.uniform(40, 120)), ("blade", "rod"), _upright(stage, count)
+    )
 
 
 def wall(stage: Stage, count: int, pixels: float) -> Scatter:
@@ -87,7 +101,13 @@ def wall(stage: Stage, count: int, pixels: float) -> Scatter:
     stage.back = distance * 1.5
     stage.panel((0, stage.back, 0), 8 * distance, 8 * distance, color=(0.8, 0.8, 0.8))
     gap = float(stage.rng.choice([1.0, 0.98, 0.8]))
-    return Scatter(points, np.full(count, size * gap), np.zeros((count, 3)), ("cube",) * int(stage.rng.integers(1, 3)), (0, distance, stage.eye))
+    return Scatter(
+        points,
+        np.full(count, size * gap),
+        np.zeros((count, 3)),
+        ("cube",) * int(stage.rng.integers(1, 3)),
+        (0, distance, stage.eye),
+    )
 
 
 def crown(stage: Stage, count: int, pixels: float) -> Scatter:
@@ -107,7 +127,15 @@ def gravel(stage: Stage, count: int, pixels: float) -> Scatter:
     """Behind the camera, seen in a mirror alone."""
     stage.ground()
     away, ahead = float(stage.rng.uniform(4, 10)), 6.0
-    stage.panel((0, ahead, 2.5), 6, 5, (0, -1, -0.12), (0.95, 0.95, 0.95), roughness=float(stage.rng.choice([0.0, 0.02, 0.15])), metallic=1.0)
+    stage.panel(
+        (0, ahead, 2.5),
+        6,
+        5,
+        (0, -1, -0.12),
+        (0.95, 0.95, 0.95),
+        roughness=float(stage.rng.choice([0.0, 0.02, 0.15])),
+        metallic=1.0,
+    )
     size = _sizes(stage, count, pixels * stage.pixel(2 * ahead + away))
     points = np.column_stack([stage.rng.uniform(-8, 8, count), -2 - 2 * away * stage.rng.random(count), size / 2])
     return Scatter(points, size, _tumbled(stage, count), _shapes(stage), (0, 2, 0))
@@ -127,8 +155,20 @@ def confetti(stage: Stage, count: int, pixels: float) -> Scatter:
     distance = _backed(stage)
     y = stage.rng.uniform(2.5, 0.95 * distance, count)
     half = stage.half_width(y) * stage.rng.uniform(0.4, 1.5)
-    points = np.column_stack([stage.rng.uniform(-1, 1, count) * half, y, np.maximum(stage.eye + stage.rng.uniform(-1, 1, count) * half * ASPECT, 0.02)])
-    return Scatter(points, _sizes(stage, count, pixels * stage.pixel(0.6 * distance)), _tumbled(stage, count), ("leaf",) * 2, (0, 0.6 * distance, stage.eye))
+    points = np.column_stack(
+        [
+            stage.rng.uniform(-1, 1, count) * half,
+            y,
+            np.maximum(stage.eye + stage.rng.uniform(-1, 1, count) * half * ASPECT, 0.02),
+        ]
+    )
+    return Scatter(
+        points,
+        _sizes(stage, count, pixels * stage.pixel(0.6 * distance)),
+        _tumbled(stage, count),
+        ("leaf",) * 2,
+        (0, 0.6 * distance, stage.eye),
+    )
 
 
 def _on_a_wall(stage: Stage, count: int, pixels: float, distance: float) -> tuple[F64, F64]:
@@ -136,7 +176,9 @@ def _on_a_wall(stage: Stage, count: int, pixels: float, distance: float) -> tupl
     size = _sizes(stage, count, pixels * stage.pixel(distance))
     half = stage.half_width(distance) * stage.rng.uniform(0.2, 1.1)
     x, z = stage.rng.uniform(-1, 1, (2, count))
-    return np.column_stack([x * half, distance - 0.01 - 0.005 * stage.rng.random(count), stage.eye + z * half * ASPECT]), size
+    return np.column_stack(
+        [x * half, distance - 0.01 - 0.005 * stage.rng.random(count), stage.eye + z * half * ASPECT]
+    ), size
 
 
 def twins(stage: Stage, count: int, pixels: float) -> Scatter:
@@ -154,7 +196,8 @@ def twins(stage: Stage, count: int, pixels: float) -> Scatter:
 
 
 def marks(stage: Stage, count: int, pixels: float) -> Scatter:
-    """Black and white on grey: squares of a checkerboard, or strokes in lines like text; their mean is the wall's, or not far from it."""
+    """Black and white on grey: squares of a checkerboard, or strokes in lines like text; their mean is the wall's, or
+    not far from it."""
     distance = _backed(stage, (0.4, 0.4, 0.4))
     size = pixels * stage.pixel(distance)
     columns = max(int(math.sqrt(count / ASPECT)), 1)
@@ -186,7 +229,15 @@ def specks(stage: Stage, count: int, pixels: float) -> Scatter:
     size = _sizes(stage, count, pixels * stage.pixel(0.7 * distance))
     area = float((size**2).sum())
     colors = tuple((float(r), float(g), float(b)) for r, g, b in stage.rng.uniform(0.3, 1.0, (2, 3)))
-    return Scatter(points, size, _tumbled(stage, count), ("leaf", "cube"), (0, 0.7 * distance, stage.eye), colors, glow=float(np.clip(60.0 / area, 0.5, 500.0)))
+    return Scatter(
+        points,
+        size,
+        _tumbled(stage, count),
+        ("leaf", "cube"),
+        (0, 0.7 * distance, stage.eye),
+        colors,
+        glow=float(np.clip(60.0 / area, 0.5, 500.0)),
+    )
 
 
 def rods(stage: Stage, count: int, pixels: float) -> Scatter:
@@ -197,7 +248,9 @@ def rods(stage: Stage, count: int, pixels: float) -> Scatter:
     size = np.maximum(_sizes(stage, count, 10 * pixels * stage.pixel(distance)), 1e-3)
     reach = float(stage.rng.uniform(2, 6))
     x, y, z = stage.rng.uniform((-reach, distance - reach / 2, 0), (reach, distance + reach / 2, 3), (count, 3)).T
-    return Scatter(np.column_stack([x, y, z + size / 2]), size, stage.rng.normal(0, 0.15, (count, 3)), ("rod",), (0, distance, 0))
+    return Scatter(
+        np.column_stack([x, y, z + size / 2]), size, stage.rng.normal(0, 0.15, (count, 3)), ("rod",), (0, distance, 0)
+    )
 
 
 def interior(stage: Stage, count: int, pixels: float) -> Scatter:
@@ -222,7 +275,13 @@ def interior(stage: Stage, count: int, pixels: float) -> Scatter:
         stage.panel((0, depth - 0.05, 2.6), 3.5, 2, (0, -1, 0), (1, 0.9, 0.75), glow=12.0)
         points = stage.rng.uniform((-2.4, depth - 2.0, 1.0), (2.4, depth - 0.3, 4.0), (count, 3))
     distance = 6.0 if aside else depth - 1
-    return Scatter(points, _sizes(stage, count, pixels * stage.pixel(distance)), _tumbled(stage, count), _shapes(stage, 2), (0, distance, 1))
+    return Scatter(
+        points,
+        _sizes(stage, count, pixels * stage.pixel(distance)),
+        _tumbled(stage, count),
+        _shapes(stage, 2),
+        (0, distance, 1),
+    )
 
 
 KINDS = {

@@ -1,4 +1,5 @@
-"""What the scenes of `family` are made of: a camera at eye height that looks along +Y, panels, scattered shapes, lamps. Metres, Z up."""
+"""What the scenes of `family` are made of: a camera at eye height that looks along +Y, panels, scattered shapes, lamps.
+Metres, Z up."""
 
 from __future__ import annotations
 
@@ -23,8 +24,9 @@ ASPECT = SIZE[1] / SIZE[0]
 class Scatter:
     """Where instances are.
 
-    points: (N, 3) metres; size: (N,) metres; turn: (N, 3) Euler angles; shapes: names in `SHAPES`, of which each instance has one; colors: one for each shape
-    and a material of its own, None: anything; which: (N,) the shape of each, None: any; glow: watts per square metre that shapes emit; middle: of what is seen.
+    points: (N, 3) metres; size: (N,) metres; turn: (N, 3) Euler angles; shapes: names in `SHAPES`, of which each
+    instance has one; colors: one for each shape and a material of its own, None: anything; which: (N,) the shape of
+    each, None: any; glow: watts per square metre that shapes emit; middle: of what is seen.
     """
 
     points: F64
@@ -72,7 +74,8 @@ def _solid(shape: str) -> Solid:
 
 @dataclass
 class Stage:
-    """A scene under construction. lens: of the camera, in millimetres; eye: height of the camera; back: where a wall across the picture stands, along Y."""
+    """A scene under construction. lens: of the camera, in millimetres; eye: height of the camera; back: where a wall
+    across the picture stands, along Y."""
 
     scene: bpy.types.Scene
     rng: np.random.Generator
@@ -82,14 +85,23 @@ class Stage:
     _made: int = field(default=0)
 
     def settings(self, bounces: int) -> None:
-        """Camera, and Cycles without anything that would make renders of two versions of a scene differ by more than what the scene differs by."""
+        """Camera, and Cycles without anything that would make renders of two versions of a scene differ by more than
+        what the scene differs by."""
         camera = bpy.data.cameras.new("Camera")
         camera.lens, camera.sensor_width, camera.clip_end = self.lens, SENSOR, 2000.0
         self.scene.camera = self.add(bpy.data.objects.new("Camera", camera))
-        self.scene.camera.location, self.scene.camera.rotation_euler = (0.0, 0.0, self.eye), (math.radians(90 - self.rng.uniform(0, 8)), 0.0, 0.0)
+        self.scene.camera.location, self.scene.camera.rotation_euler = (
+            (0.0, 0.0, self.eye),
+            (math.radians(90 - self.rng.uniform(0, 8)), 0.0, 0.0),
+        )
         render, cycles = self.scene.render, self.scene.cycles
         render.engine, render.resolution_x, render.resolution_y, render.resolution_percentage = "CYCLES", *SIZE, 100
-        cycles.samples, cycles.use_denoising, cycles.use_adaptive_sampling, cycles.max_bounces = 64, False, False, bounces
+        cycles.samples, cycles.use_denoising, cycles.use_adaptive_sampling, cycles.max_bounces = (
+            64,
+            False,
+            False,
+            bounces,
+        )
         cycles.sampling_pattern = "TABULATED_SOBOL"  # blue noise would tie neighbouring pixels together
         self.scene.view_settings.view_transform = "Standard"
         self.sky(0.0)
@@ -112,7 +124,9 @@ class Stage:
         red, green, blue = (float(x) for x in self.rng.uniform(low, high, 3))
         return red, green, blue
 
-    def material(self, color: Color, roughness: float = 0.8, metallic: float = 0.0, glow: float = 0.0, transmission: float = 0.0) -> bpy.types.Material:
+    def material(
+        self, color: Color, roughness: float = 0.8, metallic: float = 0.0, glow: float = 0.0, transmission: float = 0.0
+    ) -> bpy.types.Material:
         """A new material. glow: watts per square metre that it emits, in its colour."""
         self._made += 1
         made = material(f"Material {self._made}", color, roughness, metallic)
@@ -125,12 +139,21 @@ class Stage:
         """Mostly matt; some metal, a little glass."""
         style = self.rng.choice(["matt", "metal", "glass"], p=[0.8, 0.12, 0.08])
         roughness = float(self.rng.uniform(0.1, 1.0))
-        return self.material(self.color(0.03, 0.9), roughness, float(style == "metal"), transmission=float(style == "glass"))
+        return self.material(
+            self.color(0.03, 0.9), roughness, float(style == "metal"), transmission=float(style == "glass")
+        )
 
     def panel(
-        self, center: Sequence[float], width: float, height: float, facing: Sequence[float] = (0, -1, 0), color: Color | None = None, **values: float
+        self,
+        center: Sequence[float],
+        width: float,
+        height: float,
+        facing: Sequence[float] = (0, -1, 0),
+        color: Color | None = None,
+        **values: float,
     ) -> bpy.types.Object:
-        """A rectangle whose front faces a direction; width is horizontal. color None: some grey or brown; values: the rest of its material."""
+        """A rectangle whose front faces a direction; width is horizontal. color None: some grey or brown; values: the
+        rest of its material."""
         if color is None:
             red, green, blue = self.color(0.8, 1.0)
             grey = float(self.rng.uniform(0.2, 0.8))
@@ -155,7 +178,8 @@ class Stage:
             ob.location, ob.scale = (*self.rng.uniform(low, high), size / 2), (size, size, size)
 
     def scatter(self, wanted: Scatter, parts: int) -> bpy.types.Object:
-        """Place instances by geometry nodes. parts: of each, above 1: a row is a collection of so many, which together are as large as one would be."""
+        """Place instances by geometry nodes. parts: of each, above 1: a row is a collection of so many, which together
+        are as large as one would be."""
         sources: list[bpy.types.Object | bpy.types.Collection] = []
         for k, shape in enumerate(wanted.shapes):
             made = self.any_material() if wanted.colors is None else self.material(wanted.colors[k], glow=wanted.glow)
@@ -178,9 +202,18 @@ class Stage:
         pane.location, pane.scale = (0.0, 1.0, self.eye), (4.0, 0.02, 4.0)
 
     def mirrored(self) -> None:
-        """A mirror before the camera, turned by some 45 degrees; the camera stands aside, so that it looks at the scene by way of it."""
+        """A mirror before the camera, turned by some 45 degrees; the camera stands aside, so that it looks at the scene
+        by way of it."""
         camera = self.scene.camera
-        self.panel((0, 0, self.eye), 6, 6, (1, 1, 0), (0.95, 0.95, 0.95), roughness=float(self.rng.choice([0.0, 0.1])), metallic=1.0)
+        self.panel(
+            (0, 0, self.eye),
+            6,
+            6,
+            (1, 1, 0),
+            (0.95, 0.95, 0.95),
+            roughness=float(self.rng.choice([0.0, 0.1])),
+            metallic=1.0,
+        )
         camera.location = (3.0, 0.0, self.eye)
         camera.rotation_euler = (camera.rotation_euler[0], 0.0, math.radians(90))
 
@@ -205,7 +238,11 @@ class Stage:
         place.y = min(place.y, self.back - 1.5)
         toward = (place - Vector(middle)) / distance
         ob.location, ob.rotation_euler = place, toward.to_track_quat("Z", "Y").to_euler()
-        lamp.energy = float(rng.uniform(1.5, 4.0)) if name == "sun" else 60.0 * (toward.length * distance) ** 2 * float(rng.uniform(0.5, 2.0))
+        lamp.energy = (
+            float(rng.uniform(1.5, 4.0))
+            if name == "sun"
+            else 60.0 * (toward.length * distance) ** 2 * float(rng.uniform(0.5, 2.0))
+        )
         if name == "sun":
             lamp.angle = float(rng.choice([0.01, 0.1]))
         elif name == "area":

@@ -17,7 +17,8 @@ from .solids import F64, Solid
 HEIGHT = 1.8  # metres
 CYCLE = 24  # frames of a step of our own figure with either foot
 
-# Bones of our own figure: name, parent, head and tail (metres; it looks along -Y), swing of its walk: amplitude in radians about X and phase in cycles.
+# Bones of our own figure: name, parent, head and tail (metres; it looks along -Y), swing of its walk: amplitude in
+# radians about X and phase in cycles.
 _BONES = (
     ("hips", "", (0, 0, 0.95), (0, 0, 1.1), 0.04, 0.25),
     ("spine", "hips", (0, 0, 1.1), (0, 0, 1.45), 0.05, 0.0),
@@ -38,7 +39,8 @@ _SIDES, _RINGS = 12, 8
 
 @dataclass(frozen=True)
 class Figure:
-    """armature: object with the skeleton; parts: meshes that it deforms; action: its movement; scale: factor that makes its longest side HEIGHT."""
+    """armature: object with the skeleton; parts: meshes that it deforms; action: its movement; scale: factor that makes
+    its longest side HEIGHT."""
 
     armature: bpy.types.Object
     parts: tuple[bpy.types.Object, ...]
@@ -47,17 +49,22 @@ class Figure:
 
 
 def from_file(path: Path) -> Figure:
-    """The character of a scene file (glTF, .blend, USD), which replaces the open file. Raises InputError where it has no skeleton, mesh or movement."""
+    """The character of a scene file (glTF, .blend, USD), which replaces the open file. Raises InputError where it has
+    no skeleton, mesh or movement."""
     open_scene(path)
     for armature in bpy.data.objects:
         if armature.type != "ARMATURE":
             continue
         parts = tuple(ob for ob in bpy.data.objects if ob.type == "MESH" and ob.find_armature() == armature)
         held = armature.animation_data
-        action = (held and held.action) or next(iter(sorted(bpy.data.actions, key=lambda a: ("walk" not in a.name.lower(), a.name))), None)
+        action = (held and held.action) or next(
+            iter(sorted(bpy.data.actions, key=lambda a: ("walk" not in a.name.lower(), a.name))), None
+        )
         if parts and action is not None:
             return Figure(armature, parts, action, HEIGHT / max(float(np.ptp(_corners(parts), axis=0).max()), 1e-6))
-    raise InputError(f"{path}: no animated character in it: --figure takes a file with a skeleton, a mesh on it and an action")
+    raise InputError(
+        f"{path}: no animated character in it: --figure takes a file with a skeleton, a mesh on it and an action"
+    )
 
 
 def _corners(parts: tuple[bpy.types.Object, ...]) -> F64:
@@ -83,7 +90,11 @@ def our_own() -> Figure:
         bone.parent = skeleton.edit_bones.get(parent)
     bpy.ops.object.mode_set(mode="OBJECT")
     solid, owner = _body()
-    cloth, trousers, skin = material("Cloth", (0.2, 0.25, 0.5), 0.8), material("Trousers", (0.06, 0.06, 0.08), 0.8), material("Skin", (0.55, 0.33, 0.22), 0.5)
+    cloth, trousers, skin = (
+        material("Cloth", (0.2, 0.25, 0.5), 0.8),
+        material("Trousers", (0.06, 0.06, 0.08), 0.8),
+        material("Skin", (0.55, 0.33, 0.22), 0.5),
+    )
     body = bpy.data.objects.new("Body", mesh("Body", solid, (cloth, trousers, skin)))
     body.data.shade_smooth()
     bpy.context.scene.collection.objects.link(body)

@@ -1,7 +1,9 @@
-"""`flythrough`: the city of `mirror-city` on the move. The camera drives along a side street, turns the corner into the street, and ends before the mirror.
+"""`flythrough`: the city of `mirror-city` on the move. The camera drives along a side street, turns the corner into the
+street, and ends before the mirror.
 
-Until the corner the picture shows what lies ahead; then the street comes into view, and with it, in the mirror, what lies behind. Shortly before the end
-there is a cut to a road beyond the street, and a cut back: everything comes into view in one frame.
+Until the corner the picture shows what lies ahead; then the street comes into view, and with it, in the mirror, what
+lies behind. Shortly before the end there is a cut to a road beyond the street, and a cut back: everything comes into
+view in one frame.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ def build(instances: int | None, seed: int) -> None:
     """Replace the open file by the flythrough, `instances` of them in the city (1,000 to 1,000,000)."""
     count = city.DEFAULT_INSTANCES if instances is None else instances
     if not city.FEWEST <= count <= city.MOST:
-        raise InputError(f"flythrough takes {city.FEWEST:,} to {city.MOST:,} instances, not {count:,}: change --instances")
+        raise InputError(
+            f"flythrough takes {city.FEWEST:,} to {city.MOST:,} instances, not {count:,}: change --instances"
+        )
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     points, kind, turn, size = city.layout(count, np.random.default_rng(seed), leave_out=_in_the_way)
@@ -48,15 +52,19 @@ def _in_the_way(rows: F64) -> np.ndarray:
 
 
 def path() -> F64:
-    """Position and heading of the camera in every frame: (FRAMES, 4) x, y, z in metres and the turn about Z in radians."""
+    """Position and heading of the camera in every frame: (FRAMES, 4) x, y, z in metres and the turn about Z in
+    radians."""
     away = np.arange(BACK - CUT)
-    elsewhere = np.column_stack([_ELSEWHERE[0] + _PACE * away, np.full((len(away), 3), (_ELSEWHERE[1], _EYE, -math.pi / 2))])
+    elsewhere = np.column_stack(
+        [_ELSEWHERE[0] + _PACE * away, np.full((len(away), 3), (_ELSEWHERE[1], _EYE, -math.pi / 2))]
+    )
     drive = _road(FRAMES - len(away))
     return np.concatenate([drive[:CUT], elsewhere, drive[CUT:]])
 
 
 def _road(frames: int) -> F64:
-    """The drive alone, (frames, 4): straight on, a quarter circle to the left, straight on to where `mirror-city` stands; it brakes towards the end."""
+    """The drive alone, (frames, 4): straight on, a quarter circle to the left, straight on to where `mirror-city`
+    stands; it brakes towards the end."""
     x1, y1 = city.CAMERA[0], city.CAMERA[1]
     first = x1 - _CORNER - _START
     arc = _CORNER * math.pi / 2

@@ -1,10 +1,11 @@
 """`mirror-city`: the case that light path guided culling is about.
 
-A camera stands in a street and looks into a large mirror. It sees a little of the street before it and, in the mirror, the street behind it; rows of houses
-close both, and the mirror hides the rest. Beyond the rows the city goes on for as many instances as asked: the picture stays the same, the scene grows.
+A camera stands in a street and looks into a large mirror. It sees a little of the street before it and, in the mirror,
+the street behind it; rows of houses close both, and the mirror hides the rest. Beyond the rows the city goes on for as
+many instances as asked: the picture stays the same, the scene grows.
 
-Houses, trees, cars, lamps, benches and tubs are instances on the points of one geometry-nodes object, in order of their distance; the row of an instance tells
-nothing about whether it is seen. Street, tower and mirror are objects.
+Houses, trees, cars, lamps, benches and tubs are instances on the points of one geometry-nodes object, in order of their
+distance; the row of an instance tells nothing about whether it is seen. Street, tower and mirror are objects.
 """
 
 from __future__ import annotations
@@ -42,7 +43,13 @@ _WALLS: tuple[Color, ...] = (
     (0.45, 0.16, 0.13),
 )
 _ACCENTS: tuple[Color, ...] = ((0.05, 0.22, 0.18), (0.45, 0.05, 0.05), (0.05, 0.10, 0.30), (0.50, 0.28, 0.03))
-_PAINTS: tuple[Color, ...] = ((0.60, 0.03, 0.02), (0.03, 0.12, 0.40), (0.75, 0.75, 0.72), (0.03, 0.03, 0.035), (0.85, 0.55, 0.05))
+_PAINTS: tuple[Color, ...] = (
+    (0.60, 0.03, 0.02),
+    (0.03, 0.12, 0.40),
+    (0.75, 0.75, 0.72),
+    (0.03, 0.03, 0.035),
+    (0.85, 0.55, 0.05),
+)
 _LEAVES: tuple[Color, ...] = ((0.10, 0.25, 0.04), (0.20, 0.30, 0.03), (0.45, 0.20, 0.02))
 
 _LAMP = TOWN_HOUSES + SUBURB_HOUSES
@@ -67,11 +74,14 @@ def build(instances: int | None, seed: int) -> None:
     add_camera(scene)
 
 
-def layout(count: int, rng: np.random.Generator, leave_out: Callable[[F64], np.ndarray] | None = None) -> tuple[F64, np.ndarray, F64, F64]:
-    """Where everything stands: points (count, 3) metres, kind (count,) index of the part, turn (count,) radians about Z, size (count,) factor.
+def layout(
+    count: int, rng: np.random.Generator, leave_out: Callable[[F64], np.ndarray] | None = None
+) -> tuple[F64, np.ndarray, F64, F64]:
+    """Where everything stands: points (count, 3) metres, kind (count,) index of the part, turn (count,) radians about
+    Z, size (count,) factor.
 
-    The street comes first and is the same for every count; then suburb blocks by distance, cut off at `count`. leave_out: which rows of the street, (K, 5)
-    of x, y, kind, turn, size, are to be missing.
+    The street comes first and is the same for every count; then suburb blocks by distance, cut off at `count`.
+    leave_out: which rows of the street, (K, 5) of x, y, kind, turn, size, are to be missing.
     """
     own = _street_rows(np.random.default_rng(rng.integers(1 << 32)))
     if leave_out is not None:
@@ -82,7 +92,8 @@ def layout(count: int, rng: np.random.Generator, leave_out: Callable[[F64], np.n
 
 
 def _rows(x: F64 | float, y: F64 | float, kind: np.ndarray | int, turn: F64 | float, size: F64 | float = 1.0) -> F64:
-    """Placements as rows of x, y, kind, turn, size; on a grid of 1/16 m, 1/64 turn and 1/32 size, which makes the saved file small."""
+    """Placements as rows of x, y, kind, turn, size; on a grid of 1/16 m, 1/64 turn and 1/32 size, which makes the saved
+    file small."""
     row = np.stack([np.ravel(a) for a in np.broadcast_arrays(x, y, kind, turn, size)], 1).astype(float)
     row[:, :2] = np.round(row[:, :2] * 16) / 16
     row[:, 3] = np.round(row[:, 3] / math.tau * 64) % 64 * (math.tau / 64)
@@ -106,9 +117,20 @@ def _street_rows(rng: np.random.Generator) -> F64:
         tubs = np.arange(SOUTH + 6, NORTH - 3, 6.0)
         out += [
             _rows(side * HALF_STREET, y, houses, facing),
-            _rows(side * 8.2, trees, _TREE + rng.integers(len(_LEAVES), size=n), rng.uniform(0, math.tau, n), rng.uniform(0.75, 1.1, n)),
+            _rows(
+                side * 8.2,
+                trees,
+                _TREE + rng.integers(len(_LEAVES), size=n),
+                rng.uniform(0, math.tau, n),
+                rng.uniform(0.75, 1.1, n),
+            ),
             _rows(side * 7.0, np.arange(SOUTH + 3, NORTH, 23.0), _LAMP, math.pi if side > 0 else 0.0),
-            _rows(side * 5.2, cars + rng.uniform(-0.4, 0.4, c), _CAR + rng.integers(len(_PAINTS), size=c), along + rng.normal(0, 0.03, c)),
+            _rows(
+                side * 5.2,
+                cars + rng.uniform(-0.4, 0.4, c),
+                _CAR + rng.integers(len(_PAINTS), size=c),
+                along + rng.normal(0, 0.03, c),
+            ),
             _rows(side * 10.0, np.arange(SOUTH + 13, NORTH - 6, 17.0), _BENCH, facing),
             _rows(side * 10.3, tubs, _TUB, rng.uniform(0, math.tau, len(tubs)), rng.uniform(0.7, 1.0, len(tubs))),
         ]
@@ -127,7 +149,11 @@ def _blocks(count: int, rng: np.random.Generator) -> F64:
     i, j = (a.ravel() for a in np.meshgrid(np.arange(-reach, reach + 1), np.arange(-2 * reach, 2 * reach + 1)))
     centre = np.stack([i * pitch[0], j * pitch[1] + (SOUTH + NORTH) / 2], 1)
     margin = DEPTH + road + pitch / 2
-    inside = (np.abs(centre[:, 0]) < HALF_STREET + margin[0]) & (centre[:, 1] > SOUTH - margin[1]) & (centre[:, 1] < NORTH + margin[1])
+    inside = (
+        (np.abs(centre[:, 0]) < HALF_STREET + margin[0])
+        & (centre[:, 1] > SOUTH - margin[1])
+        & (centre[:, 1] < NORTH + margin[1])
+    )
     distance = np.hypot(centre[:, 0], centre[:, 1] - (SOUTH + NORTH) / 2)
     centre = centre[np.argsort(np.where(inside, np.inf, distance), kind="stable")][: math.ceil(count / len(template))]
     row = np.tile(template, (len(centre), 1))[:count]
@@ -182,17 +208,30 @@ def sources(rng: np.random.Generator) -> list[bpy.types.Object]:
         town = k < TOWN_HOUSES
         roof = ("mansard", "flat", "gable")[k % 3]
         storeys = 4 + k % 3 if town else 2 + k % 2
-        solid = parts.building(rng, storeys, bays=(3, 4, 5)[(k // 2) % 3], roof=roof, balconies=town and k % 4 in (0, 3), arched=k % 2 == 1)
+        solid = parts.building(
+            rng, storeys, bays=(3, 4, 5)[(k // 2) % 3], roof=roof, balconies=town and k % 4 in (0, 3), arched=k % 2 == 1
+        )
         wall = material(f"Wall {k % len(_WALLS)}", _WALLS[k % len(_WALLS)], 0.85)
         accent = material(f"Accent {k % len(_ACCENTS)}", _ACCENTS[k % len(_ACCENTS)], 0.4)
-        add("Town house" if town else "Suburb house", solid, wall, stone, glass, frame, tiles if roof == "gable" else slate, accent)
+        add(
+            "Town house" if town else "Suburb house",
+            solid,
+            wall,
+            stone,
+            glass,
+            frame,
+            tiles if roof == "gable" else slate,
+            accent,
+        )
     add("Lamp", parts.lamp(), iron, material("Lamp glass", (0.9, 0.85, 0.7), 0.2))
     for k, color in enumerate(_LEAVES):
         add("Tree", parts.tree(rng, height=8.0, leaves=1750), bark, material(f"Leaves {k}", color, 0.7), iron)
     tyre, tinted = material("Tyre", (0.015, 0.015, 0.015), 0.8), material("Tinted glass", (0.01, 0.012, 0.015), 0.05)
     chrome = material("Chrome", (0.75, 0.75, 0.75), 0.15, 1.0)
     for k, color in enumerate(_PAINTS):
-        add("Van" if k == 4 else "Car", parts.car(van=k == 4), material(f"Paint {k}", color, 0.25), tinted, tyre, chrome)
+        add(
+            "Van" if k == 4 else "Car", parts.car(van=k == 4), material(f"Paint {k}", color, 0.25), tinted, tyre, chrome
+        )
     add("Bench", parts.bench(), wood, iron)
     add("Tub", parts.planter(rng), stone, material("Hedge", (0.05, 0.16, 0.03), 0.7))
     return out
@@ -223,7 +262,14 @@ def add_street(scene: bpy.types.Scene, reach: float) -> None:
         x = np.arange(-5.6, 5.6, 1.0)
         street.boxes(_column(x, y, 0.0), _column(x + 0.5, y + 3, 0.008), 2)
     paint = material("Road paint", (0.75, 0.75, 0.72), 0.6)
-    _object(scene, "Street", street, material("Paving", (0.36, 0.34, 0.31), 0.8), material("Kerb", (0.22, 0.21, 0.20), 0.8), paint)
+    _object(
+        scene,
+        "Street",
+        street,
+        material("Paving", (0.36, 0.34, 0.31), 0.8),
+        material("Kerb", (0.22, 0.21, 0.20), 0.8),
+        paint,
+    )
     shared = [bpy.data.materials[name] for name in ("Wall 6", "Stone", "Window", "Frame", "Slate")]
     tower = _object(scene, "Clock tower", parts.clock_tower(), *shared, material("Copper", (0.12, 0.35, 0.28), 0.6))
     tower.location = (6.0, SOUTH - DEPTH - 7.0, 0.0)
@@ -247,7 +293,10 @@ def add_mirror(scene: bpy.types.Scene) -> None:
     s.boxes((-half, 0.05, foot), (half, 0.28, foot + height), 2)
     for x in (-half + 1.0, half - 1.0):
         s.boxes((x - 0.25, -0.8, 0), (x + 0.25, 1.4, 0.3), 1)
-    silver, gilding = material("Mirror", (0.95, 0.95, 0.95), 0.0, 1.0), material("Gilding", (0.83, 0.60, 0.22), 0.3, 1.0)
+    silver, gilding = (
+        material("Mirror", (0.95, 0.95, 0.95), 0.0, 1.0),
+        material("Gilding", (0.83, 0.60, 0.22), 0.3, 1.0),
+    )
     made = _object(scene, "Mirror", s, silver, gilding, material("Backing", (0.10, 0.06, 0.04), 0.8))
     made.location = (*MIRROR, 0.0)
     made.rotation_euler = (0.0, 0.0, MIRROR_TURN)

@@ -42,7 +42,8 @@ class Solid:
         self.add(vertices, np.arange(len(vertices)).reshape(-1, 4), slot)
 
     def frustum(self, base: ArrayLike, top: ArrayLike, slot: int, cap: int | None = None) -> None:
-        """Closed solid between two rings of equally many points (K, 3), counter-clockwise from above; `cap` is the slot of the top (default `slot`)."""
+        """Closed solid between two rings of equally many points (K, 3), counter-clockwise from above; `cap` is the slot
+        of the top (default `slot`)."""
         lower, upper = np.asarray(base, float), np.asarray(top, float)
         k, i = len(lower), np.arange(len(lower))
         j = (i + 1) % k
@@ -51,15 +52,21 @@ class Solid:
             fan = np.stack([np.full(k, k), i, j], 1)
             self.add(np.concatenate([ring, ring.mean(0, keepdims=True)]), fan[:, ::-1] if flip else fan, s)
 
-    def column(self, center: ArrayLike, radius: tuple[float, float], height: float, slot: int, sides: int = 8, axis: int = 2) -> None:
+    def column(
+        self, center: ArrayLike, radius: tuple[float, float], height: float, slot: int, sides: int = 8, axis: int = 2
+    ) -> None:
         """Tapered round column from `center` along an axis, radius at its foot and head."""
         angle = np.arange(sides) * (2 * math.pi / sides)
         ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], 1)
         ring = np.roll(ring, axis - 2, axis=1)  # cyclic, so handedness stays
         along = np.roll(np.array([0.0, 0.0, height]), axis - 2)
-        self.frustum(ring * radius[0] + np.asarray(center, float), ring * radius[1] + np.asarray(center, float) + along, slot)
+        self.frustum(
+            ring * radius[0] + np.asarray(center, float), ring * radius[1] + np.asarray(center, float) + along, slot
+        )
 
-    def leaves(self, rng: np.random.Generator, center: ArrayLike, radii: ArrayLike, count: int, size: float, slot: int) -> None:
+    def leaves(
+        self, rng: np.random.Generator, center: ArrayLike, radii: ArrayLike, count: int, size: float, slot: int
+    ) -> None:
         """Small randomly turned quads in the outer half of an ellipsoid: the crown of a tree."""
         d = rng.normal(size=(count, 3))
         d /= np.linalg.norm(d, axis=1, keepdims=True)

@@ -1,4 +1,5 @@
-"""Textures: panels that each have an image of their own, a few before a wall and most behind it. What images cost, and what culling saves of that."""
+"""Textures: panels that each have an image of their own, a few before a wall and most behind it. What images cost, and
+what culling saves of that."""
 
 from __future__ import annotations
 
@@ -12,9 +13,11 @@ ROW = 8
 
 
 def build(images: int | None = None, _seed: int = 0, pixels: int = PIXELS) -> None:
-    """Replace what Blender has open by the scene: so many images of pixels x pixels, which Blender generates when they are used (nothing on disk).
+    """Replace what Blender has open by the scene: so many images of pixels x pixels, which Blender generates when they
+    are used (nothing on disk).
 
-    The first row of panels stands before the wall, all others behind it; nothing in it is random. Raises InputError for an unusable number.
+    The first row of panels stands before the wall, all others behind it; nothing in it is random. Raises InputError for
+    an unusable number.
     """
     count = DEFAULT_IMAGES if images is None else images
     if not 1 <= count <= MOST_IMAGES:

@@ -6,7 +6,8 @@
 Many frames, of which only what changes is read: `Extractor`. In steps: `extract_world` (may render, so before), then
 `with_render_depsgraph(scene, frame, lambda graph: extract(graph, world))`.
 
-Read in the order of use: `depsgraph` (a graph in render mode), `graph` (its objects, with `geometry`), `instances` (what they place),
+Read in the order of use: `depsgraph` (a graph in render mode), `graph` (its objects, with `geometry`), `instances`
+(what they place),
 `shading` (materials), `scene` (all together), `session` (over frames).
 """
 

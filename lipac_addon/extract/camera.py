@@ -23,7 +23,9 @@ def extract_film(scene: Any) -> Film:
     height = max(render.resolution_y * render.resolution_percentage // 100, 1)
     if cycles is None:
         return Film(width, height, transparent=render.film_transparent)
-    return Film(width, height, cycles.pixel_filter_type, cycles.filter_width, cycles.film_exposure, render.film_transparent)
+    return Film(
+        width, height, cycles.pixel_filter_type, cycles.filter_width, cycles.film_exposure, render.film_transparent
+    )
 
 
 def extract_limits(scene: Any) -> PathLimits:
@@ -51,7 +53,10 @@ def newer_than_tested() -> list[str]:
     if bpy.app.version[:2] <= NEWEST:
         return []
     known = ".".join(map(str, NEWEST))
-    return [f"Blender {bpy.app.version_string} is newer than those that this was tested with (up to {known}): surfaces are taken to scatter as in {known}"]
+    return [
+        f"Blender {bpy.app.version_string} is newer than those that this was tested with (up to {known}): surfaces are "
+        f"taken to scatter as in {known}"
+    ]
 
 
 def camera_matrix(camera: Any) -> F64:
@@ -59,14 +64,16 @@ def camera_matrix(camera: Any) -> F64:
     m = np.array(camera.matrix_world, np.float64)[:3]
     lengths = np.linalg.norm(m[:, :3], axis=0)
     if not np.isfinite(m).all() or lengths.min() < 1e-18:
-        raise InputError(f"camera {camera.name!r} has a singular or not finite transform: give it a scale that is not zero")
+        raise InputError(
+            f"camera {camera.name!r} has a singular or not finite transform: give it a scale that is not zero"
+        )
     m[:, :3] /= lengths
     return m
 
 
 def frame_of(camera: Any, film: Film, pixel_aspect: tuple[float, float]) -> F64:
-    """Left, right, bottom, top of the picture at distance 1 (perspective) or in metres (orthographic): sensor fit, lens shift and pixel aspect as in Cycles'
-    `blender/camera.cpp`. camera: bpy.types.Camera."""
+    """Left, right, bottom, top of the picture at distance 1 (perspective) or in metres (orthographic): sensor fit, lens
+    shift and pixel aspect as in Cycles' `blender/camera.cpp`. camera: bpy.types.Camera."""
     x, y = film.width * pixel_aspect[0], film.height * pixel_aspect[1]
     horizontal = camera.sensor_fit == "HORIZONTAL" or (camera.sensor_fit == "AUTO" and x > y)
     if camera.type == "ORTHO":
@@ -79,7 +86,8 @@ def frame_of(camera: Any, film: Film, pixel_aspect: tuple[float, float]) -> F64:
 
 
 def extract_camera(item: Any, scene: Any, film: Film) -> Camera:
-    """Core camera in world space (origin not subtracted). item: evaluated camera object. Raises InputError on panoramic and custom cameras."""
+    """Core camera in world space (origin not subtracted). item: evaluated camera object. Raises InputError on panoramic
+    and custom cameras."""
     data = item.data
     if item.type != "CAMERA" or data.type not in {"PERSP", "ORTHO"}:
         what = f"type {data.type.lower()}" if item.type == "CAMERA" else f"a {item.type.lower()} object"
@@ -99,25 +107,42 @@ def extract_camera(item: Any, scene: Any, film: Film) -> Camera:
             target = target @ np.array(dof.focus_object.pose.bones[dof.focus_subtarget].matrix, np.float64)
         focus = abs(float(to_world[:, 2] @ (to_world[:, 3] - target[:3, 3])))
     blades = dof.aperture_blades if dof.aperture_blades >= 3 else 0
-    return Camera(to_world, frame, orthographic, data.clip_start, data.clip_end, aperture, focus, blades, dof.aperture_rotation, dof.aperture_ratio)
+    return Camera(
+        to_world,
+        frame,
+        orthographic,
+        data.clip_start,
+        data.clip_end,
+        aperture,
+        focus,
+        blades,
+        dof.aperture_rotation,
+        dof.aperture_ratio,
+    )
 
 
 def frame_camera(bounds: F32 | F64, film: Film) -> Camera:
-    """A perspective camera (50 mm on a 36 mm sensor) that sees all of a box: for files that bring none. bounds: (2, 3) low, high."""
+    """A perspective camera (50 mm on a 36 mm sensor) that sees all of a box: for files that bring none. bounds: (2, 3)
+    low, high."""
     low, high = np.asarray(bounds, np.float64)
     center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
     half = 36 / (2 * 50)
-    width, height = (half, half * film.height / film.width) if film.width > film.height else (half * film.width / film.height, half)
+    width, height = (
+        (half, half * film.height / film.width) if film.width > film.height else (half * film.width / film.height, half)
+    )
     distance = radius / np.sin(np.arctan(min(width, height)))
     z = -VIEW_DIRECTION / np.linalg.norm(VIEW_DIRECTION)
     x = np.cross([0.0, 0.0, 1.0], z)
     x /= np.linalg.norm(x)
     to_world = np.stack((x, np.cross(z, x), z, center + z * distance), axis=1)
-    return Camera(to_world, np.array([-width, width, -height, height]), clip_start=distance * 1e-3, clip_end=distance + 4 * radius)
+    return Camera(
+        to_world, np.array([-width, width, -height, height]), clip_start=distance * 1e-3, clip_end=distance + 4 * radius
+    )
 
 
 def add_framing_camera(scene: Any, bounds: F32 | F64) -> Any:
-    """Adds `frame_camera` to a Blender scene as its active camera, so that Blender's engines render the same view. Returns the object."""
+    """Adds `frame_camera` to a Blender scene as its active camera, so that Blender's engines render the same view.
+    Returns the object."""
     import bpy
     from mathutils import Matrix
 

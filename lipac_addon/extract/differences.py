@@ -13,7 +13,8 @@ Mask = NDArray[np.bool_]
 
 
 def compare(before: Placed, now: Placed) -> tuple[I32 | None, Mask | None]:
-    """`previous` and `moved` of `core.scene.change.Change`: rows are found again by their keys, and compared number by number."""
+    """`previous` and `moved` of `core.scene.change.Change`: rows are found again by their keys, and compared number by
+    number."""
     if now.rows is before.rows:
         return None, None
     count = len(now.rows)

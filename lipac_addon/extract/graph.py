@@ -1,10 +1,13 @@
-"""Reading a dependency graph: its objects, collections and instance references, each once, and again only where Blender says that it changed.
+"""Reading a dependency graph: its objects, collections and instance references, each once, and again only where Blender
+says that it changed.
 
-`depsgraph.object_instances` makes a Python object per instance, 5 s per million. Here Python walks objects, collections and instance references:
-`GeometrySet.instances_pointcloud()` gives the instances of geometry nodes as arrays. Particles and vertex or face instancing come as arrays too:
-`evaluated_geometry()` lists them as instances (Blender's `object_duplilist_legacy_instances`), so `object_instances` serves as an oracle in the tests alone.
+`depsgraph.object_instances` makes a Python object per instance, 5 s per million. Here Python walks objects, collections
+and instance references: `GeometrySet.instances_pointcloud()` gives the instances of geometry nodes as arrays. Particles
+and vertex or face instancing come as arrays too: `evaluated_geometry()` lists them as instances (Blender's
+`object_duplilist_legacy_instances`), so `object_instances` serves as an oracle in the tests alone.
 
-What is instanced, how, and what is visible follows Blender's `object_dupli.cc` and `depsgraph_query_iter.cc`, and Cycles' `blender/object.cpp`.
+What is instanced, how, and what is visible follows Blender's `object_dupli.cc` and `depsgraph_query_iter.cc`, and
+Cycles' `blender/object.cpp`.
 """
 
 from __future__ import annotations
@@ -19,20 +22,47 @@ from ...core.errors import InputError
 from ...core.scene.model import InstanceFlag, RayType
 from ..keys import Kind
 from .geometry.geometry_sets import Geometry, GeometryReader
-from .graph_items import Members, Node, full_name, is_divisible, legacy_instancing, matrix, ray_visibility, render_objects, visible_members
+from .graph_items import (
+    Members,
+    Node,
+    full_name,
+    is_divisible,
+    legacy_instancing,
+    matrix,
+    ray_visibility,
+    render_objects,
+    visible_members,
+)
 from .lights import read_lamp
 
 GEOMETRY_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL"}
 NOTHING_TYPES = {"ARMATURE", "CAMERA", "SPEAKER", "LATTICE"}  # show nothing themselves
 
 
+def top_level(depsgraph: Any, layer: Any) -> Iterator[Any]:
+    """Objects visible in the render, and those hidden themselves whose instances are visible (which
+    `depsgraph.objects` leaves out)."""
+    seen: set[int] = set()
+    for item in depsgraph.objects:
+        seen.add(item.as_pointer())
+        yield item
+    enabled: set[str] | None = None
+    for item in layer.objects:
+        if item.as_pointer() not in seen and not item.show_instancer_for_render and not item.hide_render:
+            if enabled is None:
+                enabled = {full_name(o) for o in render_objects(depsgraph.view_layer.layer_collection)}
+            if full_name(item) in enabled:
+                yield item
+
+
 class GraphReader:
     """The objects of a scene, frame by frame.
 
-    In a graph that goes on from the frame before, only what `depsgraph.updates` lists is read; in a new one everything is, and compared with what was there.
-    What Blender's memory is referred to by is forgotten with the graph.
+    In a graph that goes on from the frame before, only what `depsgraph.updates` lists is read; in a new one everything
+    is, and compared with what was there. What Blender's memory is referred to by is forgotten with the graph.
 
-    After `read`: names (name to index, never fewer), geometry (meshes and their materials), unsupported (lines), frame (a count).
+    After `read`: names (name to index, never fewer), geometry (meshes and their materials), unsupported (lines), frame
+    (a count).
     """
 
     def __init__(self) -> None:
@@ -48,7 +78,8 @@ class GraphReader:
         self._order: list[Node] = []
 
     def read(self, depsgraph: Any, goes_on: bool) -> list[Node]:
-        """Read a frame and return the objects at the top. goes_on: the graph is that of the last call, evaluated anew."""
+        """Read a frame and return the objects at the top. goes_on: the graph is that of the last call, evaluated
+        anew."""
         self.frame += 1
         self.depsgraph, self.layer = depsgraph, depsgraph.view_layer_eval
         addresses = frozenset(block.as_pointer() for block in depsgraph.ids)
@@ -57,11 +88,13 @@ class GraphReader:
         else:
             self.forget()
         self._addresses = addresses
-        self._lamps_listed = self.listed is None or any("NodeTree" in type(update.id).__name__ for update in self.listed.values())
+        self._lamps_listed = self.listed is None or any(
+            "NodeTree" in type(update.id).__name__ for update in self.listed.values()
+        )
         self.geometry.begin(getattr(self.layer, "material_override", None))
         self.unsupported.clear()
         self._order.clear()
-        nodes = [self.node(item) for item in self._top_level()]
+        nodes = [self.node(item) for item in top_level(depsgraph, self.layer)]
         for node in self._order:  # grows meanwhile
             if node.kind == Kind.COLLECTION:
                 self.members(node.collection)
@@ -81,20 +114,6 @@ class GraphReader:
 
     # Objects
 
-    def _top_level(self) -> Iterator[Any]:
-        """Objects visible in the render, and those hidden themselves whose instances are visible (which `depsgraph.objects` leaves out)."""
-        seen: set[int] = set()
-        for item in self.depsgraph.objects:
-            seen.add(item.as_pointer())
-            yield item
-        enabled: set[str] | None = None
-        for item in self.layer.objects:
-            if item.as_pointer() not in seen and not item.show_instancer_for_render and not item.hide_render:
-                if enabled is None:
-                    enabled = {full_name(o) for o in render_objects(self.depsgraph.view_layer.layer_collection)}
-                if full_name(item) in enabled:
-                    yield item
-
     def node(self, item: Any) -> Node:
         """The Node of an object of the graph."""
         key = item.as_pointer()
@@ -108,7 +127,9 @@ class GraphReader:
         node.item, node.seen = item, self.frame
         self._order.append(node)
         if fresh or self._is_listed(node):
-            self._read_node(node, fresh or self.listed is None or (key in self.listed and self.listed[key].is_updated_geometry))
+            update = None if self.listed is None else self.listed.get(key)
+            geometry = self.listed is None or (update is not None and update.is_updated_geometry)
+            self._read_node(node, fresh or geometry)
         elif node.geometry is not None:
             node.geometry = self.geometry.still(node.geometry)
         self.unsupported |= dict.fromkeys(node.unsupported)
@@ -119,8 +140,8 @@ class GraphReader:
         return node
 
     def _is_listed(self, node: Node) -> bool:
-        assert self.listed is not None
-        return node.key in self.listed or (node.data != 0 and (node.data in self.listed or self._lamps_listed))
+        listed = self.listed or {}
+        return node.key in listed or (node.data != 0 and (node.data in listed or self._lamps_listed))
 
     def _read_node(self, node: Node, geometry_changed: bool) -> None:
         item = node.item
@@ -134,7 +155,8 @@ class GraphReader:
         node.world, node.visible = matrix(item.matrix_world), ray_visibility(item)
         if not holdout and item.indirect_only_get(view_layer=self.layer):
             node.visible &= ~(1 << RayType.CAMERA)
-        node.marks = (int(InstanceFlag.HOLDOUT) if holdout else 0) | (int(InstanceFlag.SHADOW_CATCHER) if item.is_shadow_catcher else 0)
+        marks = {InstanceFlag.HOLDOUT: holdout, InstanceFlag.SHADOW_CATCHER: item.is_shadow_catcher}
+        node.marks = sum(int(flag) for flag, is_so in marks.items() if is_so)
         lines: dict[str, None] = {}
         legacy = legacy_instancing(item, lines)
         if item.type in GEOMETRY_TYPES:
@@ -146,7 +168,8 @@ class GraphReader:
             node.collection_name = full_name(node.collection)
         if len(item.particle_systems) or node.kind == Kind.GEOMETRY_NODES or item.instance_type != "NONE":
             node.shown = item.show_instancer_for_render
-        if item.hide_render:  # reached as an instance: shows itself, instances nothing; and a mesh that is not its own data is an instance already
+        # reached as an instance: shows itself alone; and a mesh that is not its own data is an instance already
+        if item.hide_render:
             node.kind = Kind.OBJECT
             node.alone = item.type != "MESH"
         node.alone |= item.type == "META"
@@ -171,7 +194,8 @@ class GraphReader:
             lines.update(dict.fromkeys(line for line in node.unsupported if line not in lines))
         else:
             key = f"mesh {full_name(item.data)}" if data and not len(item.modifiers) else f"object {node.full_name}"
-            node.geometry = self.geometry.read(item.evaluated_geometry(), item.evaluated_geometry(), item, key, lines, data)
+            evaluated = item.evaluated_geometry(), item.evaluated_geometry()
+            node.geometry = self.geometry.read(*evaluated, item, key, lines, data)
         if node.geometry.groups:
             # Instances of geometry nodes come before the older ones, which are of objects and always have an id
             objects = all(isinstance(target, Node) for _, target in node.geometry.groups)
@@ -201,16 +225,21 @@ class GraphReader:
         before: Any = self._before.get(f"collection {name}") if members is None else copy(members)
         if members is None:
             members = self._members[key] = Members(collection, name, offset)
-        members.collection, members.full_name, members.offset, members.objects, members.seen = collection, name, offset, [], self.frame  # a cycle ends here
+        # a cycle ends here
+        members.collection, members.full_name, members.offset = collection, name, offset
+        members.objects, members.seen = [], self.frame
         shown = {item.as_pointer() for item in visible_members(collection)}
-        members.objects = [(k, self.node(item)) for k, item in enumerate(collection.all_objects) if item.as_pointer() in shown]
-        now, then = ([(k, node.full_name) for k, node in m.objects] if m is not None else None for m in (members, before))
+        listed = [pair for pair in enumerate(collection.all_objects) if pair[1].as_pointer() in shown]
+        members.objects = [(k, self.node(item)) for k, item in listed]
+        now = [(k, node.full_name) for k, node in members.objects]
+        then = None if before is None else [(k, node.full_name) for k, node in before.objects]
         same = now == then and np.array_equal(before.offset, offset)
         members.changed = before.changed if same else self.frame
         return members
 
     def latest(self, thing: Any, known: dict[int, int]) -> int:
-        """The last frame in which a Node, Members or Geometry changed, or anything that it refers to. known: what was found in this frame, by id."""
+        """The last frame in which a Node, Members or Geometry changed, or anything that it refers to. known: what was
+        found in this frame, by id."""
         found = known.get(id(thing))
         if found is not None:
             return found

@@ -1,4 +1,5 @@
-"""What a dependency graph consists of, as far as it shows anything: objects and collections, and who of them is visible."""
+"""What a dependency graph consists of, as far as it shows anything: objects and collections, and who of them is
+visible."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ class Members:
 
 @dataclass(eq=False)
 class Node:
-    """An evaluated object. `geometry` holds its own mesh even where it instances nothing. changed, seen: as of `Members`, but for what it refers to."""
+    """An evaluated object. `geometry` holds its own mesh even where it instances nothing. changed, seen: as of
+    `Members`, but for what it refers to."""
 
     item: Any  # bpy.types.Object, of the graph
     key: int
@@ -62,7 +64,10 @@ class Node:
         return (
             all(getattr(self, name) == getattr(other, name) for name in plain)
             and np.array_equal(self.world, other.world, equal_nan=True)
-            and (self.geometry is other.geometry or (self.geometry is not None and other.geometry is not None and self.geometry.same(other.geometry)))
+            and (
+                self.geometry is other.geometry
+                or (self.geometry is not None and other.geometry is not None and self.geometry.same(other.geometry))
+            )
         )
 
 
@@ -78,7 +83,13 @@ def full_name(data: Any) -> str:
 
 def ray_visibility(item: Any) -> int:
     """Bits per RayType of an object's ray visibility."""
-    flags = (item.visible_camera, item.visible_diffuse, item.visible_glossy, item.visible_transmission, item.visible_shadow)
+    flags = (
+        item.visible_camera,
+        item.visible_diffuse,
+        item.visible_glossy,
+        item.visible_transmission,
+        item.visible_shadow,
+    )
     return sum(1 << bit for bit, on in enumerate(flags) if on)
 
 
@@ -95,9 +106,17 @@ def legacy_instancing(item: Any, lines: dict[str, None]) -> Kind | None:
 
 
 def is_divisible(node: Node) -> bool:
-    """Whether faces of an object may be culled by themselves: those of a large mesh, that instances nothing, and which nothing grows from in a render."""
+    """Whether faces of an object may be culled by themselves: those of a large mesh, that instances nothing, and which
+    nothing grows from in a render."""
     item = node.item
-    if item.type != "MESH" or node.kind != Kind.OBJECT or node.marks or node.geometry is None or node.geometry.mesh < 0 or len(item.particle_systems):
+    if (
+        item.type != "MESH"
+        or node.kind != Kind.OBJECT
+        or node.marks
+        or node.geometry is None
+        or node.geometry.mesh < 0
+        or len(item.particle_systems)
+    ):
         return False
     diced = any(m.type == "SUBSURF" and getattr(m, "use_adaptive_subdivision", False) for m in item.modifiers)
     diced |= bool(getattr(getattr(item, "cycles", None), "use_adaptive_subdivision", False))

@@ -1,7 +1,8 @@
 """What a graph's objects place -> arrays of instances, without a Python step per instance.
 
-NumPy composes the transforms of everything that objects, collections and instance references place: the instances of geometry nodes come as arrays, the
-contents of a collection are composed with all objects that instance it at once. What was placed from the same things in the frame before is taken over.
+NumPy composes the transforms of everything that objects, collections and instance references place: the instances of
+geometry nodes come as arrays, the contents of a collection are composed with all objects that instance it at once. What
+was placed from the same things in the frame before is taken over.
 """
 
 from __future__ import annotations
@@ -41,11 +42,13 @@ class Placed:
 class Placer:
     """Places what a reader found in a frame.
 
-    origin: (3,) float64, subtracted from all positions before they become float32. camera: what looks at the scene, in world space; where it is None, all
-    meshes keep their own origins. before: the frame before, of the same reader.
+    origin: (3,) float64, subtracted from all positions before they become float32. camera: what looks at the scene, in
+    world space; where it is None, all meshes keep their own origins. before: the frame before, of the same reader.
     """
 
-    def __init__(self, reader: GraphReader, origin: F64, camera: Camera | None = None, before: Placed | None = None) -> None:
+    def __init__(
+        self, reader: GraphReader, origin: F64, camera: Camera | None = None, before: Placed | None = None
+    ) -> None:
         self.reader, self.meshes = reader, reader.geometry.meshes
         self.origin = origin
         self.limit = np.inf if camera is None else local_reach(camera)
@@ -68,7 +71,8 @@ class Placer:
             else:
                 members = self.reader.members(node.collection)
                 inside = any(child is node for _, child in members.objects)
-                together.setdefault(("object", node.full_name) if inside else ("collection", members.full_name), []).append(node)
+                key = ("object", node.full_name) if inside else ("collection", members.full_name)
+                together.setdefault(key, []).append(node)
         for key, hosts in together.items():
             self._instancer(key, hosts)
         return self._placed()
@@ -88,7 +92,10 @@ class Placer:
             block.first = blocks[-1].first + blocks[-1].count if blocks else 0
             blocks.append(block)
         count = sum(block.count for block in blocks)
-        in_place = all(taken and known is not None and known.first == block.first for block, (known, taken) in zip(blocks, before, strict=True))
+        in_place = all(
+            taken and known is not None and known.first == block.first
+            for block, (known, taken) in zip(blocks, before, strict=True)
+        )
         if old is not None and in_place and len(old.rows) == count:
             rows = old.rows
         else:
@@ -98,7 +105,8 @@ class Placer:
     # Blocks
 
     def _begin(self, key: tuple[str, str], nodes: Sequence[Node]) -> bool:
-        """Begin a block; False where all that it is placed from is as it was in the frame before, whose rows are then taken over."""
+        """Begin a block; False where all that it is placed from is as it was in the frame before, whose rows are then
+        taken over."""
         of, known = tuple(node.full_name for node in nodes), self._known.get(key)
         if known is not None and self._is_still(known, of, nodes):
             for mesh, _ in known.pairs:
@@ -110,7 +118,9 @@ class Placer:
         return True
 
     def _is_still(self, known: Block, of: tuple[str, ...], nodes: Sequence[Node]) -> bool:
-        if self._before is None or known.of != of or known.reach > self.limit or not all(self.meshes.keeps_place(mesh) for mesh, _ in known.pairs):
+        if self._before is None or known.of != of or known.reach > self.limit:
+            return False
+        if not all(self.meshes.keeps_place(mesh) for mesh, _ in known.pairs):
             return False
         return all(self.reader.latest(node, self._latest) < self.reader.frame for node in nodes)
 
@@ -132,26 +142,36 @@ class Placer:
         columns = [(n.geometry.offset, n.name, n.visible, n.marks) for n in shown if n.geometry is not None]
         slots, names, visible, marks = np.array(columns, np.int32).T
         for mesh, members in groups.items():
-            at = Placements(world[members], int(Kind.OBJECT), -1, visible[members].astype(np.uint8), marks[members].astype(np.uint8))
+            at = Placements(
+                world[members], int(Kind.OBJECT), -1, visible[members].astype(np.uint8), marks[members].astype(np.uint8)
+            )
             self._output.emit(self.block, mesh, slots[members], names[members], VISIBLE, 0, at)
         self.block.count = self._output.count - self.block.first
 
     def _instancer(self, key: tuple[str, str], hosts: list[Node]) -> None:
         """What objects instance: one that does by nodes, or several that instance the same collection."""
         if self._begin(key, hosts):
-            self._instances_of([(n, Placements(n.world[None], int(n.kind), n.name, n.visible, n.marks & ~int(InstanceFlag.DIVISIBLE))) for n in hosts], (), 0)
+            whole = ~int(InstanceFlag.DIVISIBLE)
+            at = [Placements(n.world[None], int(n.kind), n.name, n.visible, n.marks & whole) for n in hosts]
+            self._instances_of(list(zip(hosts, at, strict=True)), (), 0)
             self.block.count = self._output.count - self.block.first
 
     # Placing
 
     def _object(self, node: Node, at: Placements, replaced: bool = False) -> None:
-        """An instanced object, without what it instances itself. replaced: by its parent's vertex or face instancing."""
+        """An instanced object, without what it instances itself. replaced: by its parent's vertex or face
+        instancing."""
         if not node.shown or node.alone or (node.replaced and not replaced):
             return
         if node.lamp is not None:
             self._lamp(node, at)
         elif node.geometry is not None and node.geometry.mesh >= 0:
-            self._output.emit(self.block, node.geometry.mesh, node.geometry.offset, node.name, node.visible, node.marks & int(InstanceFlag.SHADOW_CATCHER), at)
+            mesh, offset, marks = (
+                node.geometry.mesh,
+                node.geometry.offset,
+                node.marks & int(InstanceFlag.SHADOW_CATCHER),
+            )
+            self._output.emit(self.block, mesh, offset, node.name, node.visible, marks, at)
 
     def _instances_of(self, hosts: Sequence[tuple[Node, Placements]], stack: tuple[int, ...], depth: int) -> None:
         """What objects instance, for objects placed at the same depth. Those of one collection are taken together."""
@@ -199,7 +219,7 @@ class Placer:
                 flat = np.arange(start, min(start + BLOCK, len(at) * count))
                 placement, row = flat // count, flat % count
                 row = row if rows is None else rows[row]
-                child = self._place_rows(geometry, at, placement, row)
+                child = _place_rows(geometry, at, placement, row)
                 if isinstance(target, Node):
                     self._object(target, child, owner.kind == Kind.DUPLI)
                     if owner.recursive and target.kind != Kind.OBJECT:
@@ -211,14 +231,14 @@ class Placer:
                         self._output.emit(self.block, target.mesh, target.offset, owner.name, VISIBLE, 0, child)
                     self._geometry_instances(target, owner, child, stack)
 
-    @staticmethod
-    def _place_rows(geometry: Geometry, at: Placements, placement: NDArray[np.int64], row: NDArray[np.int64]) -> Placements:
-        transform = np.empty((len(row), 3, 4))
-        compose_rows(at.transform, placement, geometry.columns, row, transform)
-        return at.inside(transform, placement, row.astype(np.int32))
-
     def _lamp(self, node: Node, at: Placements) -> None:
         assert node.lamp is not None
         transform = at.transform.copy()
         transform[:, :, 3] -= self.origin
         self.block.lamps.append(Lamp(node.lamp, node.visible & at.visible, transform))
+
+
+def _place_rows(geometry: Geometry, at: Placements, placement: NDArray[np.int64], row: NDArray[np.int64]) -> Placements:
+    transform = np.empty((len(row), 3, 4))
+    compose_rows(at.transform, placement, geometry.columns, row, transform)
+    return at.inside(transform, placement, row.astype(np.int32))

@@ -17,7 +17,8 @@ KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT,
 
 
 def _node_strength(light: Any, report: Callable[[str], None]) -> np.ndarray[Any, Any]:
-    """(3,) factor by the light's node tree: colour times strength of its Emission node where these are constant; of a Light Falloff, its strength."""
+    """(3,) factor by the light's node tree: colour times strength of its Emission node where these are constant; of a
+    Light Falloff, its strength."""
     if light.node_tree is None:
         return np.ones(3)
     inlined = light.inline_shader_nodes()
@@ -44,8 +45,8 @@ def _node_strength(light: Any, report: Callable[[str], None]) -> np.ndarray[Any,
 
 @dataclass(frozen=True)
 class LampData:
-    """A light object's data. record: of LIGHT as bytes, without what depends on the place, one or more that shine together; lines: what is rendered
-    differently."""
+    """A light object's data. record: of LIGHT as bytes, without what depends on the place, one or more that shine
+    together; lines: what is rendered differently."""
 
     name: str
     record: bytes
@@ -54,7 +55,8 @@ class LampData:
 
 @dataclass
 class Lamp:
-    """Where a lamp is placed, (n, 3, 4) float64 object to world minus `Scene.origin`, and which rays see it: one for all, or per placement."""
+    """Where a lamp is placed, (n, 3, 4) float64 object to world minus `Scene.origin`, and which rays see it: one for
+    all, or per placement."""
 
     data: LampData
     visible: int | NDArray[Any]
@@ -64,8 +66,8 @@ class Lamp:
 def read_lamp(item: Any) -> LampData | None:
     """The data of a light object; None for a portal, which guides Cycles' sampling and is no light.
 
-    Where light linking says what blocks it, half of its light passes everything, and half nothing but what lets light pass: so both what it lights and what
-    shades it count.
+    Where light linking says what blocks it, half of its light passes everything, and half nothing but what lets light
+    pass: so both what it lights and what shades it count.
     """
     light = item.data
     if light.type == "AREA" and light.cycles.is_portal:
@@ -108,7 +110,8 @@ def _template(light: Any, report: Callable[[str], None]) -> Records:
 
 
 def place_lamps(lamps: Sequence[Lamp], report: Callable[[str], object], warn: Callable[[str], object]) -> Records:
-    """(L,) of LIGHT for all placed lights. Axes are normalised; the scale of the object goes into the size of area lights, as in Cycles."""
+    """(L,) of LIGHT for all placed lights. Axes are normalised; the scale of the object goes into the size of area
+    lights, as in Cycles."""
     parts = []
     for lamp in lamps:
         for line in lamp.data.lines:
@@ -126,6 +129,8 @@ def place_lamps(lamps: Sequence[Lamp], report: Callable[[str], object], warn: Ca
             records[axis] = transform[:, :, k] / lengths[:, k : k + 1]
         records["position"] = transform[:, :, 3]
         records["size"] *= lengths[:, :2]
-        records["visibility"] = lamp.visible if isinstance(lamp.visible, int) else np.tile(np.asarray(lamp.visible)[good], len(record))
+        records["visibility"] = (
+            lamp.visible if isinstance(lamp.visible, int) else np.tile(np.asarray(lamp.visible)[good], len(record))
+        )
         parts.append(records)
     return np.concatenate(parts) if parts else np.zeros(0, LIGHT)

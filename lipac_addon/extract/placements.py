@@ -33,10 +33,11 @@ def compose(a: F64, b: F64) -> F64:
 
 @dataclass(frozen=True)
 class Placements:
-    """Where something is placed: transform (n, 3, 4) float64 object to world, and for each what the key and the flags of its instances need.
+    """Where something is placed: transform (n, 3, 4) float64 object to world, and for each what the key and the flags
+    of its instances need.
 
-    host: name index (-1: the object is real, not instanced). visible: ray visibility of the top-level object. marks: HOLDOUT and SHADOW_CATCHER of the same.
-    path: one value per level of instancing.
+    host: name index (-1: the object is real, not instanced). visible: ray visibility of the top-level object. marks:
+    HOLDOUT and SHADOW_CATCHER of the same. path: one value per level of instancing.
     """
 
     transform: F64
@@ -52,7 +53,14 @@ class Placements:
     def inside(self, transform: F64, index: NDArray[Any] | slice, place: Ints) -> Placements:
         """One level deeper: placement k stems from placement `index[k]` of this, at `place` of that level."""
         path = (*(_take(level, index) for level in self.path), place)
-        return Placements(transform, _take(self.kind, index), _take(self.host, index), _take(self.visible, index), _take(self.marks, index), path)
+        return Placements(
+            transform,
+            _take(self.kind, index),
+            _take(self.host, index),
+            _take(self.visible, index),
+            _take(self.marks, index),
+            path,
+        )
 
     @staticmethod
     def join(parts: Sequence[Placements]) -> Placements:
@@ -65,7 +73,9 @@ class Placements:
             first = values[0]
             if isinstance(first, int) and all(isinstance(v, int) and v == first for v in values):
                 return first
-            return np.concatenate([np.full(n, v, np.int32) if isinstance(v, int) else v for v, n in zip(values, sizes, strict=True)])
+            return np.concatenate(
+                [np.full(n, v, np.int32) if isinstance(v, int) else v for v, n in zip(values, sizes, strict=True)]
+            )
 
         return Placements(
             np.concatenate([p.transform for p in parts]),
@@ -119,7 +129,9 @@ class Rows:
         """Whether all rows are the same."""
         if len(self) != len(other):
             return False
-        columns = [(getattr(self, name), getattr(other, name)) for name in Rows.__dataclass_fields__ if name != "records"]
+        columns = [
+            (getattr(self, name), getattr(other, name)) for name in Rows.__dataclass_fields__ if name != "records"
+        ]
         columns += [(self.records[name], other.records[name]) for name in KEY.names or ()]
         return all(np.array_equal(a, b) for a, b in columns)
 
@@ -130,10 +142,12 @@ class Rows:
 
 @dataclass
 class Block:
-    """What one top-level instancer placed, or all objects that are not instanced: rows [first, first + count) of a frame.
+    """What one top-level instancer placed, or all objects that are not instanced: rows [first, first + count) of a
+    frame.
 
-    key: what makes it the same block in another frame; of: names of the objects that it was placed from. pairs: meshes with their offsets into the slot table.
-    dropped: unusable placements by mesh name. reach: metres that its meshes reach from their own origins, at most.
+    key: what makes it the same block in another frame; of: names of the objects that it was placed from. pairs: meshes
+    with their offsets into the slot table. dropped: unusable placements by mesh name. reach: metres that its meshes
+    reach from their own origins, at most.
     """
 
     key: tuple[str, str]
@@ -168,7 +182,8 @@ class Output:
         self.rows = new
 
     def emit(self, block: Block, mesh: int, slots: Ints, name: Ints, visible: int, marks: int, at: Placements) -> None:
-        """Instances of a mesh, for a block: visibility of the object and of the top-level object combined. What is invisible or not placeable is left out."""
+        """Instances of a mesh, for a block: visibility of the object and of the top-level object combined. What is
+        invisible or not placeable is left out."""
         flags: Ints = (at.visible & visible) | at.marks | marks
         if not isinstance(flags, int):
             flags = np.asarray(flags, np.uint8)
@@ -185,7 +200,9 @@ class Output:
         if source.origin is None:
             source.origin = np.zeros(3) if self._camera is None else local_origin(low, high, at.transform, self._camera)
         placed = shifted(at.transform, source.origin) if source.origin.any() else np.ascontiguousarray(at.transform)
-        usable, stretch = finish(placed, self._origin, low - source.origin, high - source.origin, rows.transform, rows.bounds, good)
+        usable, stretch = finish(
+            placed, self._origin, low - source.origin, high - source.origin, rows.transform, rows.bounds, good
+        )
         reach = float(np.maximum(np.abs(low), np.abs(high)).max()) * stretch
         block.reach = max(block.reach, reach if np.isfinite(reach) else np.inf)
         keep: Any = slice(None)
@@ -199,8 +216,14 @@ class Output:
             return
         part = slice(self.count, self.count + count)
         self.count += count
-        self.rows.mesh[part], self.rows.slots[part], self.rows.flags[part] = mesh, _take(slots, keep), _take(flags, keep)
-        block.pairs.update((mesh, offset) for offset in ([slots] if isinstance(slots, int) else np.unique(slots).tolist()))
+        self.rows.mesh[part], self.rows.slots[part], self.rows.flags[part] = (
+            mesh,
+            _take(slots, keep),
+            _take(flags, keep),
+        )
+        block.pairs.update(
+            (mesh, offset) for offset in ([slots] if isinstance(slots, int) else np.unique(slots).tolist())
+        )
         record, arrays = np.zeros((), KEY), {}
         record["path"] = -1
         for name_, value in (("kind", at.kind), ("host", at.host), ("object", name)):

@@ -30,12 +30,16 @@ from .world import ExtractedWorld, extract_world
 
 @dataclass(frozen=True)
 class Extraction:
-    """A frame of a Blender scene. It depends on Blender only through `scene.meshes`, which reads meshes on demand and stays valid after the graph is gone.
+    """A frame of a Blender scene. It depends on Blender only through `scene.meshes`, which reads meshes on demand and
+    stays valid after the graph is gone.
 
-    scene: what the engine renders. keys: one per instance, finds it again in Blender. warnings: one line each: what is wrong with the input.
-    change: what differs from the frame that was extracted before; None for the first one. scatters: by the full name of each object that instances by
-    geometry nodes, where its rows are: (R, 3) float32 in its own space, as path[0] of the keys numbers them.
-    moments: frames after this one, at which the shutter is open as well and other things are elsewhere (`Extractor.frame`).
+    scene: what the engine renders. keys: one per instance, finds it again in Blender. warnings: one line each: what is
+    wrong with the input.
+    change: what differs from the frame that was extracted before; None for the first one. scatters: by the full name of
+    each object that instances by geometry nodes, where its rows are: (R, 3) float32 in its own space, as path[0] of the
+    keys numbers them.
+    moments: frames after this one, at which the shutter is open as well and other things are elsewhere
+    (`Extractor.frame`).
     """
 
     scene: Scene
@@ -66,7 +70,11 @@ class Frame:
         cameras = tuple(replace(camera, to_world=camera.to_world - origin) for camera in shutter.cameras)
         lines = self.scene.approximated
         if shutter.moments:
-            lines = (*lines, "motion blur: what moves was looked at where it is when the shutter opens, at the frame, and when it closes")
+            lines = (
+                *lines,
+                "motion blur: what moves was looked at where it is when the shutter opens, at the frame, and when it "
+                "closes",
+            )
         return replace(self, scene=replace(self.scene, shutter=cameras, approximated=lines), moments=shutter.moments)
 
 
@@ -74,7 +82,8 @@ class SceneReader:
     """Reads the dependency graphs of the frames of a scene, and tells what changed from each to the next."""
 
     def __init__(self, allow_no_camera: bool = False, displaced: bool = True) -> None:
-        """allow_no_camera: a scene without a camera is framed as a whole. displaced: true displacement is allowed for, as `displacement` says."""
+        """allow_no_camera: a scene without a camera is framed as a whole. displaced: true displacement is allowed for,
+        as `displacement` says."""
         self.allow_no_camera = allow_no_camera
         self.graph = GraphReader()
         self._shading = ShadingReader(displaced)
@@ -94,23 +103,34 @@ class SceneReader:
         nodes = graph.read(depsgraph, goes_on)
         shading = self._shading.read(graph)
         graph.geometry.meshes.displace(self._reliefs(shading, nodes))
-        placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(nodes)
+        placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(
+            nodes
+        )
         if not len(placed.rows):
             raise NothingToAnalyse([*graph.unsupported])
         if camera is None:
-            bounds = np.stack((placed.rows.bounds[:, 0].min(axis=0), placed.rows.bounds[:, 1].max(axis=0))).astype(np.float64)
+            bounds = np.stack((placed.rows.bounds[:, 0].min(axis=0), placed.rows.bounds[:, 1].max(axis=0))).astype(
+                np.float64
+            )
             camera = frame_camera(bounds, film)
-            placed = Placer(graph, scene_origin(camera), camera, self._placed).place(nodes)  # once more, with all digits where it is looked at
+            # once more, with all digits where it is looked at
+            placed = Placer(graph, scene_origin(camera), camera, self._placed).place(nodes)
         pairs = {pair for block in placed.blocks for pair in block.pairs}
         deformed, replaced = graph.geometry.meshes.finish(self._textured(pairs, shading), shading.uv_maps)
-        approximated, warnings = dict.fromkeys(graph.unsupported), dict.fromkeys((*newer_than_tested(), *graph.geometry.warnings))
+        approximated, warnings = (
+            dict.fromkeys(graph.unsupported),
+            dict.fromkeys((*newer_than_tested(), *graph.geometry.warnings)),
+        )
         lights = self._lights(placed, approximated, warnings)
         dropped: dict[str, int] = {}
         for block in placed.blocks:
             for name, count in block.dropped.items():
                 dropped[name] = dropped.get(name, 0) + count
         for name, count in dropped.items():
-            warnings.setdefault(f"{count} instance{'s' if count > 1 else ''} of {name!r} left out: the transform is singular or not finite")
+            warnings.setdefault(
+                f"{count} instance{'s' if count > 1 else ''} of {name!r} left out: the transform is singular or not "
+                "finite"
+            )
         approximated |= dict.fromkeys(shading.approximated)
         to_world = camera.to_world.copy()
         to_world[:, 3] -= placed.origin
@@ -130,15 +150,36 @@ class SceneReader:
             origin=placed.origin,
             approximated=tuple(approximated),
         )
-        scatters = {n.full_name: n.geometry.columns[:, 3, :3] for n in nodes if n.kind == Kind.GEOMETRY_NODES and n.geometry is not None}
-        return Frame(result, placed, shading, deformed, replaced, Keys(placed.rows.records, tuple(graph.names)), tuple(warnings), scatters)
+        scatters = {
+            n.full_name: n.geometry.columns[:, 3, :3]
+            for n in nodes
+            if n.kind == Kind.GEOMETRY_NODES and n.geometry is not None
+        }
+        return Frame(
+            result,
+            placed,
+            shading,
+            deformed,
+            replaced,
+            Keys(placed.rows.records, tuple(graph.names)),
+            tuple(warnings),
+            scatters,
+        )
 
     def finish(self, frame: Frame, world: ExtractedWorld) -> Extraction:
         """A frame with its world, and what changed since the last one."""
         scene, warnings = frame.scene, frame.warnings
-        lit = len(scene.lights) or world.world.image is not None or world.world.color.any() or scene.materials["emission"].any()
+        lit = (
+            len(scene.lights)
+            or world.world.image is not None
+            or world.world.color.any()
+            or scene.materials["emission"].any()
+        )
         if not lit:
-            warnings = (*warnings, "the scene has no light: no lamp, no emitting material, a black world; it renders black")
+            warnings = (
+                *warnings,
+                "the scene has no light: no lamp, no emitting material, a black world; it renders black",
+            )
         approximated = dict.fromkeys((*scene.approximated, *world.approximated))
         scene = replace(scene, world=world.world, approximated=tuple(approximated))
         change = None
@@ -159,7 +200,8 @@ class SceneReader:
         return place_lamps(lamps, approximated.setdefault, warnings.setdefault)
 
     def _reliefs(self, shading: Shading, nodes: Sequence[Node]) -> dict[int, Relief]:
-        """How meshes are displaced, by index, whatever materials they are placed with. nodes: objects at the top, whose scale counts in world space."""
+        """How meshes are displaced, by index, whatever materials they are placed with. nodes: objects at the top, whose
+        scale counts in world space."""
         out: dict[int, Relief] = {}
         if not any(shading.reliefs):
             return out
@@ -177,7 +219,9 @@ class SceneReader:
         for node in nodes:
             relief = None if node.geometry is None else out.get(node.geometry.mesh)
             if relief is not None and relief.world and node.geometry is not None:
-                out[node.geometry.mesh] = relief.scaled(1 / max(float(np.linalg.norm(node.world[:, :3], axis=0).min()), 1e-9))
+                out[node.geometry.mesh] = relief.scaled(
+                    1 / max(float(np.linalg.norm(node.world[:, :3], axis=0).min()), 1e-9)
+                )
         return out
 
     def _textured(self, pairs: set[tuple[int, int]], shading: Shading) -> set[int]:
@@ -185,7 +229,11 @@ class SceneReader:
         if not shading.textured.any():
             return set()
         table = shading.textured[shading.slot_materials]
-        return {mesh for mesh, offset in pairs if table[offset : offset + self.graph.geometry.meshes.source(mesh).slot_count].any()}
+        return {
+            mesh
+            for mesh, offset in pairs
+            if table[offset : offset + self.graph.geometry.meshes.source(mesh).slot_count].any()
+        }
 
 
 def _stand_in(scene: Any) -> bool:
@@ -195,22 +243,29 @@ def _stand_in(scene: Any) -> bool:
 def _same_light(a: Scene, b: Scene) -> bool:
     """Whether lamps, world and path limits are the same."""
     x, y = a.world, b.world
-    same_world = x.image is y.image and x.seen is y.seen and np.array_equal(x.color, y.color) and x.visibility == y.visibility
+    same_world = (
+        x.image is y.image and x.seen is y.seen and np.array_equal(x.color, y.color) and x.visibility == y.visibility
+    )
     return same_world and same_array(a.lights, b.lights) and a.limits == b.limits
 
 
 def _same_view(a: Scene, b: Scene) -> bool:
     """Whether camera and film are the same."""
     x, y = a.camera, b.camera
-    same = len(a.shutter) == len(b.shutter) and all(same_camera(*pair) for pair in zip((x, *a.shutter), (y, *b.shutter), strict=True))
+    same = len(a.shutter) == len(b.shutter) and all(
+        same_camera(*pair) for pair in zip((x, *a.shutter), (y, *b.shutter), strict=True)
+    )
     return bool(a.film == b.film and np.array_equal(a.origin, b.origin) and same)
 
 
 def extract(depsgraph: Any, world: ExtractedWorld | None = None, allow_no_camera: bool = False) -> Extraction:
-    """The scene of a dependency graph, evaluated for rendering (`with_render_depsgraph`) or for the viewport, whichever it is.
+    """The scene of a dependency graph, evaluated for rendering (`with_render_depsgraph`) or for the viewport, whichever
+    it is.
 
-    world: from `extract_world`, called before the render; None takes the world of the graph, which must then be constant.
-    allow_no_camera: a scene without a camera is framed as a whole. Raises InputError: no camera, an unsupported camera, nothing to render.
+    world: from `extract_world`, called before the render; None takes the world of the graph, which must then be
+    constant.
+    allow_no_camera: a scene without a camera is framed as a whole. Raises InputError: no camera, an unsupported camera,
+    nothing to render.
     """
     reader = SceneReader(allow_no_camera)
     frame = reader.read(depsgraph, False)

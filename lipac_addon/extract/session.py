@@ -16,23 +16,31 @@ from .world import ExtractedWorld, baked_world, constant_world, fingerprint
 
 
 class Extractor:
-    """Extracts frames of a scene as a final render would see them, at a cost that follows what changes from each to the next.
+    """Extracts frames of a scene as a final render would see them, at a cost that follows what changes from each to the
+    next.
 
         with Extractor(bpy.context.scene) as extractor:
             for number in (1, 2, 3):
                 extraction = extractor.frame(number)     # extraction.change: what is other than in the frame before
 
-    Every frame is as if it were extracted alone, but for the numbers of meshes, which stay what they were. While Blender's graph is held (`RenderGraph`),
-    Blender evaluates, and we read, what it says has changed; with a new graph everything is read, and compared with what was there.
+    Every frame is as if it were extracted alone, but for the numbers of meshes, which stay what they were. While
+    Blender's graph is held (`RenderGraph`), Blender evaluates, and we read, what it says has changed; with a new graph
+    everything is read, and compared with what was there.
 
     read_s: seconds of the last frame that were ours; the others are Blender's, for evaluating it.
     """
 
     def __init__(
-        self, scene: Any, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None, whole: bool = True
+        self,
+        scene: Any,
+        view_layer: str | None = None,
+        allow_no_camera: bool = False,
+        world: ExtractedWorld | None = None,
+        whole: bool = True,
     ) -> None:
-        """scene: bpy.types.Scene; view_layer: name, None takes the first that is used for rendering; world: instead of the scene's own, for all frames.
-        whole: true displacement and what happens while the shutter is open are allowed for, as pictures of Blender's engines need it; ours show neither."""
+        """scene: bpy.types.Scene; view_layer: name, None takes the first that is used for rendering; world: instead of
+        the scene's own, for all frames. whole: true displacement and what happens while the shutter is open are allowed
+        for, as pictures of Blender's engines need it; ours show neither."""
         share()
         self.scene = scene
         self.allow_no_camera = allow_no_camera
@@ -45,14 +53,17 @@ class Extractor:
     def __enter__(self) -> Extractor:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.release()
 
     def frame(self, number: int | None = None, keep: bool = True, at: float = 0.0) -> Extraction:
-        """A frame, by default the scene's current one, which it then is. keep: hold the graph for the next frame, until `release`.
+        """A frame, by default the scene's current one, which it then is. keep: hold the graph for the next frame, until
+        `release`.
 
-        at: what is where so many frames later, seen by the cameras of the frame itself, which must have been extracted just before; what moves is there at one
-        of `Extraction.moments`.
+        at: what is where so many frames later, seen by the cameras of the frame itself, which must have been extracted
+        just before; what moves is there at one of `Extraction.moments`.
         Raises InputError: no camera, an unsupported camera, nothing to render, the scene cannot be rendered.
         """
         if number is not None:
@@ -89,7 +100,8 @@ class Extractor:
         self._graph.release()
 
     def _read(self, depsgraph: Any, goes_on: bool) -> tuple[Frame, ExtractedWorld | None, str]:
-        """What there is to read of a graph: the frame, the world where it needs no render, and what tells that it is another."""
+        """What there is to read of a graph: the frame, the world where it needs no render, and what tells that it is
+        another."""
         start, world = time.perf_counter(), self._given
         item = getattr(depsgraph.view_layer_eval, "world_override", None) or depsgraph.scene_eval.world
         if world is None:
@@ -104,13 +116,18 @@ class Extractor:
 
     def _bake(self) -> ExtractedWorld:
         """The world of the current frame, rendered. Blender then frees the graph."""
-        self.scene.frame_set(self.scene.frame_current, subframe=self.scene.frame_subframe)  # animated values get to the world that is rendered
+        # animated values get to the world that is rendered
+        self.scene.frame_set(self.scene.frame_current, subframe=self.scene.frame_subframe)
         layer = self.scene.view_layers[self._graph.layer]
         return baked_world(getattr(layer, "world_override", None) or self.scene.world)
 
 
 def extract_frame(
-    scene: Any, frame: int | None = None, view_layer: str | None = None, allow_no_camera: bool = False, world: ExtractedWorld | None = None
+    scene: Any,
+    frame: int | None = None,
+    view_layer: str | None = None,
+    allow_no_camera: bool = False,
+    world: ExtractedWorld | None = None,
 ) -> Extraction:
     """One frame of a Blender scene as a final render would see it. Raises as `Extractor.frame`.
 

@@ -1,4 +1,5 @@
-"""Materials and textures over the frames of a shot: converted again only where Blender says that something of theirs changed."""
+"""Materials and textures over the frames of a shot: converted again only where Blender says that something of theirs
+changed."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ _CLASSES = ("Material", "NodeTree", "Texture", "Image")
 
 @dataclass(frozen=True)
 class Shading:
-    """What a `Scene` needs of the materials; textured: (M,) bool, which of those that slots have need UVs; reliefs: how these displace, M of them."""
+    """What a `Scene` needs of the materials; textured: (M,) bool, which of those that slots have need UVs; reliefs: how
+    these displace, M of them."""
 
     slot_materials: I32
     materials: Records
@@ -33,7 +35,9 @@ class Shading:
     def same(self, other: Shading) -> bool:
         """Whether all arrays are the same."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("slot_materials", "materials")]
-        pairs += [(getattr(self.textures, name), getattr(other.textures, name)) for name in ("records", "bytes", "floats")]
+        pairs += [
+            (getattr(self.textures, name), getattr(other.textures, name)) for name in ("records", "bytes", "floats")
+        ]
         plain = (self.uv_maps, self.approximated, self.reliefs) == (other.uv_maps, other.approximated, other.reliefs)
         return plain and all(same_array(a, b) for a, b in pairs)
 
@@ -48,7 +52,8 @@ def same_array(a: NDArray[Any], b: NDArray[Any]) -> bool:
 
 
 class ShadingReader:
-    """Converts the materials of a frame. The pixels of an image are read once, unless Blender says that the image changed."""
+    """Converts the materials of a frame. The pixels of an image are read once, unless Blender says that the image
+    changed."""
 
     def __init__(self, displaced: bool = True) -> None:
         """displaced: as of `MaterialTable`."""
@@ -58,10 +63,16 @@ class ShadingReader:
         self._pixels: dict[tuple[str, bool], Pixels] = {}
 
     def read(self, reader: GraphReader) -> Shading:
-        """The materials of what the reader found, in the order in which it found them; the same object as in the frame before where nothing changed."""
+        """The materials of what the reader found, in the order in which it found them; the same object as in the frame
+        before where nothing changed."""
         order, table, last = tuple(reader.geometry.slots.order), reader.geometry.slots.table(), self._last
         listed = [update.id for update in reader.listed.values()] if reader.listed is not None else None
-        if last is not None and listed is not None and order == self._order and not any(_shades(block) for block in listed):
+        if (
+            last is not None
+            and listed is not None
+            and order == self._order
+            and not any(_shades(block) for block in listed)
+        ):
             if not np.array_equal(table, last.slot_materials):
                 last = replace(last, slot_materials=table)
         else:
@@ -78,7 +89,15 @@ class ShadingReader:
         for name in order:
             records.index(None if name is None else materials[name])
         textured = np.array([records.textured(k) for k in range(len(records.records))], bool)
-        return Shading(table, records.build(), textures.build(), tuple(textures.uv_maps), textured, tuple(records.approximated), tuple(records.reliefs))
+        return Shading(
+            table,
+            records.build(),
+            textures.build(),
+            tuple(textures.uv_maps),
+            textured,
+            tuple(records.approximated),
+            tuple(records.reliefs),
+        )
 
 
 def _shades(block: Any) -> bool:

@@ -1,4 +1,5 @@
-"""What an exposure sees with motion blur: the camera over the time that the shutter is open, and whether anything else moves meanwhile."""
+"""What an exposure sees with motion blur: the camera over the time that the shutter is open, and whether anything else
+moves meanwhile."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ UNSEEN = {"CAMERA", "ARMATURE", "LATTICE", "SPEAKER"}  # what moves of these alo
 
 @dataclass(frozen=True)
 class Shutter:
-    """cameras: in world space, over the exposure, none where it stands still. moments: frames after this one, at which other things are elsewhere."""
+    """cameras: in world space, over the exposure, none where it stands still. moments: frames after this one, at which
+    other things are elsewhere."""
 
     cameras: tuple[Camera, ...] = ()
     moments: tuple[float, ...] = ()
@@ -35,9 +37,11 @@ def exposure(scene: Any) -> tuple[float, float] | None:
 
 
 def read_shutter(depsgraph: Any, film: Film, at: Callable[[float], None]) -> Shutter:
-    """The exposure of a frame. at: evaluates the graph so many frames after it; it is called with 0 at last. Raises as `extract_camera`.
+    """The exposure of a frame. at: evaluates the graph so many frames after it; it is called with 0 at last. Raises as
+    `extract_camera`.
 
-    Cameras lie between those at the steps that Cycles evaluates, as Cycles places them: 2 to the power of the camera's motion steps, and one.
+    Cameras lie between those at the steps that Cycles evaluates, as Cycles places them: 2 to the power of the camera's
+    motion steps, and one.
     """
     scene = depsgraph.scene_eval
     times = exposure(scene)
@@ -69,7 +73,8 @@ def _shows(update: Any) -> bool:
 
 
 def between(keys: Sequence[Camera], count: int) -> tuple[Camera, ...]:
-    """So many cameras at evenly spaced moments of a motion that evenly spaced keys describe; none where all keys are the same."""
+    """So many cameras at evenly spaced moments of a motion that evenly spaced keys describe; none where all keys are
+    the same."""
     if len(keys) < 2 or all(same_camera(camera, keys[0]) for camera in keys[1:]):
         return ()
     out = []
@@ -88,7 +93,10 @@ def _blend(a: Camera, b: Camera, t: float) -> Camera:
     """A camera between two: turned by the shortest way, all else in proportion."""
     turn = _rotation(a).slerp(_rotation(b), t).to_matrix()
     to_world = np.column_stack((np.array(turn, np.float64), (1 - t) * a.to_world[:, 3] + t * b.to_world[:, 3]))
-    numbers = {name: (1 - t) * getattr(a, name) + t * getattr(b, name) for name in ("frame", "aperture", "focus", "clip_start", "clip_end")}
+    numbers = {
+        name: (1 - t) * getattr(a, name) + t * getattr(b, name)
+        for name in ("frame", "aperture", "focus", "clip_start", "clip_end")
+    }
     return replace(a, to_world=to_world, **numbers)
 
 

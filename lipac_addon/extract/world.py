@@ -1,7 +1,8 @@
 """World shader -> constant radiance, or a picture of all directions that Cycles bakes.
 
-Any node world is rendered by Cycles itself into an equirectangular picture, from a scene that holds nothing else. Blender cannot start a render inside a
-render, so this is done before `with_render_depsgraph`, and once for all frames unless the world is animated.
+Any node world is rendered by Cycles itself into an equirectangular picture, from a scene that holds nothing else.
+Blender cannot start a render inside a render, so this is done before `with_render_depsgraph`, and once for all frames
+unless the world is animated.
 """
 
 from __future__ import annotations
@@ -24,7 +25,19 @@ from ..depsgraph import changed, no_new_images, own_slot, render_result, with_re
 BAKE_HEIGHT = 512  # of worlds without an image
 MAX_HEIGHT = 2048
 _FILMS = {"SEQUENCE", "MOVIE"}
-_NO_LOOKS = {"rna_type", "inputs", "outputs", "internal_links", "parent", "location", "location_absolute", "width", "height", "dimensions", "select"}
+_NO_LOOKS = {
+    "rna_type",
+    "inputs",
+    "outputs",
+    "internal_links",
+    "parent",
+    "location",
+    "location_absolute",
+    "width",
+    "height",
+    "dimensions",
+    "select",
+}
 _DEPTH = 4  # of structs within a node: curves hold curves hold points
 SUPERSAMPLES = 16  # Cycles samples a pixel where edges (sun disc) are to be averaged
 
@@ -44,12 +57,18 @@ class ExtractedWorld:
 
 def _visibility(world: Any) -> int:
     v = world.cycles_visibility
-    on = {RayType.CAMERA: v.camera, RayType.DIFFUSE: v.diffuse, RayType.GLOSSY: v.glossy, RayType.TRANSMISSION: v.transmission}
+    on = {
+        RayType.CAMERA: v.camera,
+        RayType.DIFFUSE: v.diffuse,
+        RayType.GLOSSY: v.glossy,
+        RayType.TRANSMISSION: v.transmission,
+    }
     return ALL_RAYS & ~sum(1 << kind for kind, seen in on.items() if not seen)
 
 
 def constant_color(world: Any) -> F32 | None:
-    """(3,) radiance where the world is the same in all directions, else None. world: bpy.types.World or None (black)."""
+    """(3,) radiance where the world is the same in all directions, else None. world: bpy.types.World or None
+    (black)."""
     if world is None:
         return np.zeros(3, np.float32)
     if world.node_tree is None:
@@ -70,7 +89,11 @@ def constant_color(world: Any) -> F32 | None:
 def constant_world(world: Any) -> ExtractedWorld | None:
     """A bpy.types.World that is the same in all directions (None: black); None where it is not."""
     color = constant_color(world)
-    return None if color is None else ExtractedWorld(World(color, None, ALL_RAYS if world is None else _visibility(world)), _volume(world))
+    return (
+        None
+        if color is None
+        else ExtractedWorld(World(color, None, ALL_RAYS if world is None else _visibility(world)), _volume(world))
+    )
 
 
 def _volume(world: Any) -> tuple[str, ...]:
@@ -80,19 +103,33 @@ def _volume(world: Any) -> tuple[str, ...]:
     tree = world.inline_shader_nodes()  # keeps the tree alive
     output = tree.node_tree.get_output_node("CYCLES")
     filled = output is not None and output.inputs["Volume"].is_linked
-    return (f"world {world.name}: volume not rendered: what only lights it or throws shadows into it is taken to be worth nothing",) if filled else ()
+    return (
+        (
+            f"world {world.name}: volume not rendered: what only lights it or throws shadows into it is taken to be "
+            "worth nothing",
+        )
+        if filled
+        else ()
+    )
 
 
 def fingerprint(world: Any, frame: int) -> str:
-    """A text that differs where the world may look different: all numbers of its nodes, what they refer to, and the frame where a film is shown."""
+    """A text that differs where the world may look different: all numbers of its nodes, what they refer to, and the
+    frame where a film is shown."""
     tree = world.inline_shader_nodes()
     lines = [world.name_full, str(_visibility(world))]
     for node in tree.node_tree.nodes:
         lines.append(node.bl_idname)
         _describe(node, lines, 0)
         for socket in node.inputs:
-            lines += [_value(getattr(socket, "default_value", None)), *(f"{link.from_node.name}.{link.from_socket.identifier}" for link in socket.links)]
-    if any(node.type in {"TEX_ENVIRONMENT", "TEX_IMAGE"} and node.image is not None and node.image.source in _FILMS for node in tree.node_tree.nodes):
+            lines += [
+                _value(getattr(socket, "default_value", None)),
+                *(f"{link.from_node.name}.{link.from_socket.identifier}" for link in socket.links),
+            ]
+    if any(
+        node.type in {"TEX_ENVIRONMENT", "TEX_IMAGE"} and node.image is not None and node.image.source in _FILMS
+        for node in tree.node_tree.nodes
+    ):
         lines.append(str(frame))
     return "\n".join(lines)
 
@@ -113,13 +150,19 @@ def _describe(item: Any, lines: list[str], depth: int) -> None:
 
 
 def _value(value: Any) -> str:
-    return repr([_value(part) for part in value]) if hasattr(value, "__iter__") and not isinstance(value, str) else repr(value)
+    return (
+        repr([_value(part) for part in value])
+        if hasattr(value, "__iter__") and not isinstance(value, str)
+        else repr(value)
+    )
 
 
 def extract_world(scene: Any, view_layer: Any = None) -> ExtractedWorld:
-    """World of a scene at its current frame, as Cycles shows it to camera rays. Renders where it is not constant: not to be called inside a render.
+    """World of a scene at its current frame, as Cycles shows it to camera rays. Renders where it is not constant: not
+    to be called inside a render.
 
-    scene: bpy.types.Scene; view_layer: bpy.types.ViewLayer, whose world override counts. Everything made for the bake is removed again.
+    scene: bpy.types.Scene; view_layer: bpy.types.ViewLayer, whose world override counts. Everything made for the bake
+    is removed again.
     """
     world = getattr(view_layer, "world_override", None) or scene.world
     constant = constant_world(world)
@@ -157,11 +200,13 @@ def baked_world(world: Any) -> ExtractedWorld:
 
 @contextmanager
 def _bake_scene(world: Any, through: bool) -> Iterator[Any]:
-    """A scene with nothing but a copy of the world, and a camera that sees all directions. through: glass that bends no ray is around the camera, so that what
-    meets the world are no camera rays."""
+    """A scene with nothing but a copy of the world, and a camera that sees all directions. through: glass that bends no
+    ray is around the camera, so that what meets the world are no camera rays."""
     copy = world.copy()
     copy.cycles_visibility.camera = copy.cycles_visibility.transmission = True
-    for link in [link for link in copy.node_tree.links if link.to_node.type == "OUTPUT_WORLD" and link.to_socket.name == "Volume"]:
+    for link in [
+        link for link in copy.node_tree.links if link.to_node.type == "OUTPUT_WORLD" and link.to_socket.name == "Volume"
+    ]:
         copy.node_tree.links.remove(link)  # which would hide the sky
     scene = bpy.data.scenes.new(".lipac world bake")
     camera = bpy.data.cameras.new(".lipac world bake")
@@ -193,23 +238,44 @@ def _pane(made: list[Any]) -> Any:
     tree = material.node_tree
     tree.nodes.clear()
     output, node = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new("ShaderNodeBsdfRefraction")
-    node.inputs["Color"].default_value, node.inputs["Roughness"].default_value, node.inputs["IOR"].default_value = (1, 1, 1, 1), 0.0, 1.0
+    node.inputs["Color"].default_value, node.inputs["Roughness"].default_value, node.inputs["IOR"].default_value = (
+        (1, 1, 1, 1),
+        0.0,
+        1.0,
+    )
     tree.links.new(node.outputs[0], output.inputs[0])
     return item
 
 
 def bake(world: Any, height: int, samples: int, through: bool = False) -> F32:
-    """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `World.image`; through: as others than camera rays
+    """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `World.image`; through:
+    as others than camera rays
     see it. Raises InputError if Cycles fails."""
     from ..pictures import read_picture
 
-    with no_new_images(), own_slot(), _bake_scene(world, through) as scene, tempfile.TemporaryDirectory(prefix="lipac") as folder:
+    with (
+        no_new_images(),
+        own_slot(),
+        _bake_scene(world, through) as scene,
+        tempfile.TemporaryDirectory(prefix="lipac") as folder,
+    ):
         scene.render.engine = "CYCLES"
-        scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 2 * height, height, 100
+        scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = (
+            2 * height,
+            height,
+            100,
+        )
         scene.render.use_compositing = scene.render.use_sequencer = False
         scene.render.film_transparent = False
         c = scene.cycles
-        c.device, c.samples, c.use_adaptive_sampling, c.use_denoising, c.max_bounces, c.film_exposure = "CPU", samples, False, False, 4 * through, 1.0
+        c.device, c.samples, c.use_adaptive_sampling, c.use_denoising, c.max_bounces, c.film_exposure = (
+            "CPU",
+            samples,
+            False,
+            False,
+            4 * through,
+            1.0,
+        )
         c.transmission_bounces = 4 * through  # an edge may be met twice
         c.pixel_filter_type, c.filter_width, c.sample_clamp_direct, c.seed = "BOX", 1.0 if samples > 1 else 0.01, 0.0, 0
         settings = scene.render.image_settings

@@ -26,7 +26,9 @@ from .opening import open_shot
 Place = Callable[[int], Path]
 
 
-def analyse(shot: FarmShot, frames: Iterable[int], threads: int = 0, progress: Progress = silent, cancelled: Cancel = never) -> int:
+def analyse(
+    shot: FarmShot, frames: Iterable[int], threads: int = 0, progress: Progress = silent, cancelled: Cancel = never
+) -> int:
     """Save what frames need that are not analysed yet; returns how many were. Raises InputError, Cancelled."""
     todo = [frame for frame in frames if note_of(shot.analysis(frame)).get("key") != shot.key]
     if todo:
@@ -35,8 +37,16 @@ def analyse(shot: FarmShot, frames: Iterable[int], threads: int = 0, progress: P
     return len(todo)
 
 
-def decide_frames(shot: FarmShot, frames: Sequence[int], options: CullOptions, place: Place, progress: Progress = silent, cancelled: Cancel = never) -> None:
-    """Decide frames of the open scene, each by itself, and save each where `place` says. Raises InputError, Cancelled."""
+def decide_frames(
+    shot: FarmShot,
+    frames: Sequence[int],
+    options: CullOptions,
+    place: Place,
+    progress: Progress = silent,
+    cancelled: Cancel = never,
+) -> None:
+    """Decide frames of the open scene, each by itself, and save each where `place` says. Raises InputError,
+    Cancelled."""
     job = Job(shot.folder, tuple(frames), options)
     place(frames[0]).parent.mkdir(parents=True, exist_ok=True)
     sweep(place(frames[0]).parent, {place(frame).stem for frame in frames})
@@ -49,10 +59,17 @@ def decide_frames(shot: FarmShot, frames: Sequence[int], options: CullOptions, p
             decided = decide_layers(sessions, frame, frame == frames[-1], within, cancelled)
             said = {"approximated": decided.approximated, "warnings": decided.warnings}
             took = {"seconds": time.perf_counter() - begin, "peak_bytes": peak_memory()}
-            note = decided.entry | said | took | {"key": shot.key, "max_error": [options.max_error.mean, options.max_error.worst]}
+            note = (
+                decided.entry
+                | said
+                | took
+                | {"key": shot.key, "max_error": [options.max_error.mean, options.max_error.worst]}
+            )
             decided.save(place(frame), json.dumps(note, default=float))
             del decided
-            gc.collect()  # a frame's arrays are in circles of few objects, for which the collector does not begin by itself for many frames
+            # a frame's arrays are in circles of few objects, for which the collector does not begin by itself for many
+            # frames
+            gc.collect()
 
 
 def note_of(path: Path) -> dict[str, Any]:

@@ -18,30 +18,44 @@ CONFIDENCE = 0.95
 
 
 def certify(shot: FarmShot) -> dict[str, Any]:
-    """Write the certificate, as JSON and as a page; returns it. Raises InputError where a picture or a verification is missing."""
+    """Write the certificate, as JSON and as a page; returns it. Raises InputError where a picture or a verification is
+    missing."""
     united = read_json(shot.united, key=shot.key)
     if united is None:
         raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
     lost = [frame for frame in shot.frames if rendered_from(shot, frame, united["set"]) is None]
     if lost:
-        raise InputError(f"pictures are missing, damaged, or from another set: {_few(lost)}; run lipac shot render {shot.folder} for these")
+        raise InputError(
+            f"pictures are missing, damaged, or from another set: {_few(lost)}; run lipac shot render {shot.folder} "
+            "for these"
+        )
     for folder in ("analysis", "pictures", "verified", "mended"):  # what killed tasks had begun; now nobody is at work
         sweep(shot.folder / folder, {f"frame_{frame:04}" for frame in shot.frames})
     sample = of_sample(shot)
     if len(sample) < shot.checks:
         looked = {found["frame"] for found in sample}
         unseen = [number for number in range(1, shot.checks + 1) if shot.checked(number) not in looked]
-        raise InputError(f"not verified: numbers {_few(unseen)} of the sample; run lipac shot verify {shot.folder} --check for these")
+        raise InputError(
+            f"not verified: numbers {_few(unseen)} of the sample; run lipac shot verify {shot.folder} --check for these"
+        )
     frames = [_frame(shot, frame, sample) for frame in shot.frames]
     certificate = {
         "schema": 1,
-        **{"scene": shot.scene.name, "lipac": __version__, "blender": united["blender"], "key": shot.key, "set": united["set"]},
+        **{
+            "scene": shot.scene.name,
+            "lipac": __version__,
+            "blender": united["blender"],
+            "key": shot.key,
+            "set": united["set"],
+        },
         "max_error": [shot.mean, shot.worst],
         **{name: united[name] for name in ("instances", "active", "warnings")},
         "verified": len(sample),
         "failed": sum(found["attempts"][0]["broken"] for found in sample),
         "broken": sum(found["attempts"][-1]["broken"] for found in sample),
-        "at_most": at_most(sum(found["attempts"][0]["broken"] for found in sample), len(sample)) if len(sample) < len(frames) else None,
+        "at_most": at_most(sum(found["attempts"][0]["broken"] for found in sample), len(sample))
+        if len(sample) < len(frames)
+        else None,
         "mended": [found["span"] for found in sample if len(found["attempts"]) > 1],
         "seconds": _seconds(frames, sample, united),
         "peak_bytes": _memory(frames, sample, united),
@@ -71,14 +85,23 @@ def _frame(shot: FarmShot, frame: int, sample: list[dict[str, Any]]) -> dict[str
     }
 
 
-def _seconds(frames: list[dict[str, Any]], sample: list[dict[str, Any]], united: dict[str, Any]) -> dict[str, float | None]:
-    """Of machines' work, summed. full: what renders in full would take, by how much longer the crops took in full; None where nothing tells."""
+def _seconds(
+    frames: list[dict[str, Any]], sample: list[dict[str, Any]], united: dict[str, Any]
+) -> dict[str, float | None]:
+    """Of machines' work, summed. full: what renders in full would take, by how much longer the crops took in full; None
+    where nothing tells."""
     spent = {name: sum(frame[name]["seconds"] for frame in frames) for name in ("analysis", "render")}
     first = [(found["full"]["seconds"], found["attempts"][0]["seconds"]) for found in sample]
     ratio = sum(full for full, _ in first) / max(sum(culled for _, culled in first), 1e-9) if first else None
     whole = [frame["render"]["seconds"] for frame in frames if frame["render"]["mended"] == ALL]
     full = None if ratio is None else ratio * (spent["render"] - sum(whole)) + sum(whole)
-    return {**spent, "unite": united["seconds"], "verify": sum(found["seconds"] for found in sample), "full": full, "ratio": ratio}
+    return {
+        **spent,
+        "unite": united["seconds"],
+        "verify": sum(found["seconds"] for found in sample),
+        "full": full,
+        "ratio": ratio,
+    }
 
 
 def _memory(frames: list[dict[str, Any]], sample: list[dict[str, Any]], united: dict[str, Any]) -> dict[str, int]:
@@ -87,11 +110,18 @@ def _memory(frames: list[dict[str, Any]], sample: list[dict[str, Any]], united: 
     analysis = max(frame["analysis"]["peak_bytes"] or 0 for frame in frames)
     render = max(frame["render"]["peak_bytes"] for frame in frames)
     full = max(found["full"]["peak_bytes"] for found in sample)
-    return {"analysis": analysis, "unite": united["peak_bytes"], "render": render, "crops_culled": culled, "crops_full": full}
+    return {
+        "analysis": analysis,
+        "unite": united["peak_bytes"],
+        "render": render,
+        "crops_culled": culled,
+        "crops_full": full,
+    }
 
 
 def at_most(failed: int, of: int) -> float:
-    """Upper bound, at CONFIDENCE, of the share that fails of what a sample was drawn from (Clopper and Pearson 1934, one-sided)."""
+    """Upper bound, at CONFIDENCE, of the share that fails of what a sample was drawn from (Clopper and Pearson 1934,
+    one-sided)."""
     low, high = failed / of, 1.0
     for _ in range(60):
         p = (low + high) / 2
@@ -102,11 +132,18 @@ def at_most(failed: int, of: int) -> float:
 
 def verdict(found: dict[str, Any]) -> str:
     """A line about a frame of the sample."""
-    tried = [f"{100 * one['verified_mean']:.2g} % in the mean, {100 * one['verified_worst']:.2g} % in the worst tile" for one in found["attempts"]]
+    tried = [
+        f"{100 * one['verified_mean']:.2g} % in the mean, {100 * one['verified_worst']:.2g} % in the worst tile"
+        for one in found["attempts"]
+    ]
     first, last = found["attempts"][0], found["attempts"][-1]
     if not first["broken"]:
         return f"frame {found['frame']}: changes by {tried[0]}: {standing(first, found['max_error'])}"
-    done = "above the budget still" if last["broken"] else f"frames {found['span'][0]}-{found['span'][1]} rendered again with more kept"
+    done = (
+        "above the budget still"
+        if last["broken"]
+        else f"frames {found['span'][0]}-{found['span'][1]} rendered again with more kept"
+    )
     return f"frame {found['frame']}: changes by {', then '.join(tried)}: {done}"
 
 
@@ -126,20 +163,28 @@ def statement(certificate: dict[str, Any]) -> list[str]:
     change, most = fmean(a["verified_mean"] for a in attempts), max(a["verified_worst"] for a in attempts)
     found = f"{100 * change:.2g} % in the mean over the sample, {100 * most:.2g} % in its worst tile"
     out = [
-        f"{certificate['active']:,} of {certificate['instances']:,} instances are in the pictures of all {len(frames)} frames.",
-        f"{n} frames were verified: a random part of each was rendered in full and culled by the Blender that renders. As delivered they differ by {found}; "
-        f"{mean:.2g} % and {worst:.2g} % are allowed. Noise of the renders counts as difference, and a frame fails where the difference is above a bound by "
+        f"{certificate['active']:,} of {certificate['instances']:,} instances are in the pictures of all {len(frames)} "
+        "frames.",
+        f"{n} frames were verified: a random part of each was rendered in full and culled by the Blender that renders. "
+        f"As delivered they differ by {found}; "
+        f"{mean:.2g} % and {worst:.2g} % are allowed. Noise of the renders counts as difference, and a frame fails "
+        "where the difference is above a bound by "
         "more than noise can be.",
     ]
     if failed:
         spans = ", ".join(f"{first}-{last}" for first, last in certificate["mended"])
-        out.append(f"{failed} of them failed at first. Frames {spans} were analysed again, tighter, and rendered again with more kept.")
+        out.append(
+            f"{failed} of them failed at first. Frames {spans} were analysed again, tighter, and rendered again with "
+            "more kept."
+        )
     if certificate["broken"]:
         out.append(f"{certificate['broken']} of them are above the budget still.")
     if certificate["at_most"] is not None:
         out.append(
-            f"The other {len(frames) - n} frames were not looked at. Each has all that its own analysis certified, but a set with more in it is not certified "
-            f"by that. By the sample, at {100 * CONFIDENCE:.0f} % confidence, at most {100 * certificate['at_most']:.0f} % of the shot's frames fail such a "
+            f"The other {len(frames) - n} frames were not looked at. Each has all that its own analysis certified, but "
+            "a set with more in it is not certified "
+            f"by that. By the sample, at {100 * CONFIDENCE:.0f} % confidence, at most "
+            f"{100 * certificate['at_most']:.0f} % of the shot's frames fail such a "
             "verification" + (" before mending." if failed else ".")
         )
     return out
@@ -147,4 +192,9 @@ def statement(certificate: dict[str, Any]) -> list[str]:
 
 def summary(certificate: dict[str, Any]) -> str:
     """For the terminal."""
-    return "\n".join([*certificate["statement"], f"certificate.html and certificate.json hold what was found of {len(certificate['frames'])} frames"])
+    return "\n".join(
+        [
+            *certificate["statement"],
+            f"certificate.html and certificate.json hold what was found of {len(certificate['frames'])} frames",
+        ]
+    )

@@ -10,7 +10,8 @@ from ...core.progress import clock
 
 STYLE = (
     "body{max-width:60em;margin:2em auto;padding:0 1em;font:16px/1.5 sans-serif}table{border-collapse:collapse}"
-    "td,th{padding:.2em .7em;text-align:right;border-bottom:1px solid #ccc}svg{width:100%;height:auto}.bad{color:#b00020;font-weight:bold}"
+    "td,th{padding:.2em .7em;text-align:right;border-bottom:1px solid "
+    "#ccc}svg{width:100%;height:auto}.bad{color:#b00020;font-weight:bold}"
 )
 WIDTH, HEIGHT, MARGIN = 800, 200, 40
 
@@ -21,10 +22,25 @@ def page(certificate: dict[str, Any]) -> str:
     heading = f"<h1>{escape(certificate['scene'])}: {len(certificate['frames'])} frames, {status}</h1>"
     said = "".join(f"<p>{escape(line)}</p>" for line in certificate["statement"])
     warnings = "".join(f"<li>{escape(line)}</li>" for line in certificate["warnings"])
-    made = f"LiPaC {certificate['lipac']}, Blender {certificate['blender']}, job {certificate['key'][:12]}, set {certificate['set'][:12]}"
-    parts = [heading, said, f"<ul>{warnings}</ul>" if warnings else "", _chart(certificate), _costs(certificate), _table(certificate), f"<p>{escape(made)}</p>"]
+    made = (
+        f"LiPaC {certificate['lipac']}, Blender {certificate['blender']}, job {certificate['key'][:12]}, set "
+        f"{certificate['set'][:12]}"
+    )
+    parts = [
+        heading,
+        said,
+        f"<ul>{warnings}</ul>" if warnings else "",
+        _chart(certificate),
+        _costs(certificate),
+        _table(certificate),
+        f"<p>{escape(made)}</p>",
+    ]
     title = f"<title>{escape(certificate['scene'])}: certificate</title>"
-    return f"<!doctype html><html lang=en><meta charset=utf-8>{title}<style>{STYLE}</style>\n" + "\n".join(filter(None, parts)) + "\n</html>\n"
+    return (
+        f"<!doctype html><html lang=en><meta charset=utf-8>{title}<style>{STYLE}</style>\n"
+        + "\n".join(filter(None, parts))
+        + "\n</html>\n"
+    )
 
 
 def _chart(certificate: dict[str, Any]) -> str:
@@ -40,19 +56,36 @@ def _chart(certificate: dict[str, Any]) -> str:
     top = 1.1 * max([bound, *(error for _, error, _ in points)], default=1.0) or 1.0
 
     def at(frame: float, error: float) -> tuple[float, float]:
-        return MARGIN + (frame - first) / max(last - first, 1) * (WIDTH - 2 * MARGIN), HEIGHT - MARGIN - error / top * (HEIGHT - 2 * MARGIN)
+        return MARGIN + (frame - first) / max(last - first, 1) * (WIDTH - 2 * MARGIN), HEIGHT - MARGIN - error / top * (
+            HEIGHT - 2 * MARGIN
+        )
 
     (left, line), (right, _), (_, zero) = at(first, bound), at(last, bound), at(first, 0)
     dots = []
     for frame, error, delivered in points:
         x, y = at(frame, error)
         colour = "#1f77b4" if delivered else "none"
-        dots.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colour}" stroke="#1f77b4"><title>frame {frame}: {100 * error:.3g} %</title></circle>')
-    axes = f'<path d="M{left:.1f} {zero:.1f}H{right:.1f}" stroke="#333"/><path d="M{left:.1f} {line:.1f}H{right:.1f}" stroke="#b00020" stroke-dasharray="4"/>'
-    words = f'<text x="{left:.1f}" y="{zero + 20:.1f}">frame {first}</text><text x="{right:.1f}" y="{zero + 20:.1f}" text-anchor="end">{last}</text>'
+        dots.append(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colour}" stroke="#1f77b4"><title>frame {frame}: '
+            f"{100 * error:.3g} %</title></circle>"
+        )
+    axes = (
+        f'<path d="M{left:.1f} {zero:.1f}H{right:.1f}" stroke="#333"/><path d="M{left:.1f} '
+        f'{line:.1f}H{right:.1f}" stroke="#b00020" stroke-dasharray="4"/>'
+    )
+    words = (
+        f'<text x="{left:.1f}" y="{zero + 20:.1f}">frame {first}</text><text x="{right:.1f}" y="{zero + 20:.1f}" '
+        f'text-anchor="end">{last}</text>'
+    )
     words += f'<text x="{left:.1f}" y="{line - 5:.1f}" fill="#b00020">{100 * bound:.3g} % allowed in the mean</text>'
-    caption = "<figcaption>Measured mean change of the picture. Full dots are what was delivered, empty ones were mended.</figcaption>"
-    svg = f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" font-size="12" role="img" aria-label="measured change by frame">{axes}{words}{"".join(dots)}</svg>'
+    caption = (
+        "<figcaption>Measured mean change of the picture. Full dots are what was delivered, empty ones were "
+        "mended.</figcaption>"
+    )
+    svg = (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" font-size="12" role="img" aria-label="measured change by '
+        f'frame">{axes}{words}{"".join(dots)}</svg>'
+    )
     return f"<figure>{svg}{caption}</figure>"
 
 
@@ -68,11 +101,19 @@ def _costs(certificate: dict[str, Any]) -> str:
     if seconds["full"] is not None:
         spent = sum(seconds[name] for name in ("analysis", "unite", "render", "verify"))
         rows.append(("render in full, estimated", clock(seconds["full"]), size(peak["crops_full"])))
-        rows.append(("saved, estimated" if seconds["full"] >= spent else "lost, estimated", clock(abs(seconds["full"] - spent)), ""))
+        rows.append(
+            (
+                "saved, estimated" if seconds["full"] >= spent else "lost, estimated",
+                clock(abs(seconds["full"] - spent)),
+                "",
+            )
+        )
     body = "".join(f"<tr><th>{name}</th><td>{time}</td><td>{memory}</td></tr>" for name, time, memory in rows)
     note = (
-        "Seconds are summed over machines. The estimate takes the crops' seconds in full over those culled, in which Blender's preparation of the scene "
-        f"weighs more than in whole pictures. Of the crops, {size(peak['crops_culled'])} were held culled and {size(peak['crops_full'])} in full."
+        "Seconds are summed over machines. The estimate takes the crops' seconds in full over those culled, in which "
+        "Blender's preparation of the scene "
+        f"weighs more than in whole pictures. Of the crops, {size(peak['crops_culled'])} were held culled and "
+        f"{size(peak['crops_full'])} in full."
     )
     return f"<h2>Cost</h2><table><tr><th></th><th>time</th><th>peak memory</th></tr>{body}</table><p>{note}</p>"
 
@@ -82,9 +123,16 @@ def _table(certificate: dict[str, Any]) -> str:
     rows = []
     for frame in certificate["frames"]:
         for attempt in (frame["verified"] or {"attempts": []})["attempts"]:
-            measured = "".join(f"<td>{100 * attempt[f'verified_{name}']:.3g} %</td>" for name in ("mean", "worst", "least_mean", "least_worst"))
+            measured = "".join(
+                f"<td>{100 * attempt[f'verified_{name}']:.3g} %</td>"
+                for name in ("mean", "worst", "least_mean", "least_worst")
+            )
             state = "<td class=bad>above</td>" if attempt["broken"] else "<td>within</td>"
-            tried = {"": "the shot's set", "all": "everything kept"}.get(attempt["mended"], f"analysed again, {100 * attempt['max_error'][0]:.2g} %")
+            tried = {"": "the shot's set", "all": "everything kept"}.get(
+                attempt["mended"], f"analysed again, {100 * attempt['max_error'][0]:.2g} %"
+            )
             rows.append(f"<tr><td>{frame['frame']}</td><td>{tried}</td>{measured}{state}</tr>")
-    head = "".join(f"<th>{name}</th>" for name in ("frame", "set", "mean", "worst tile", "mean, surely", "worst, surely", "budget"))
+    head = "".join(
+        f"<th>{name}</th>" for name in ("frame", "set", "mean", "worst tile", "mean, surely", "worst, surely", "budget")
+    )
     return f"<h2>Frames that were verified</h2><table><tr>{head}</tr>{''.join(rows)}</table>"

@@ -25,30 +25,60 @@ _LAST = 2000  # characters of a child's output that are shown
 
 
 def program(blender: str = "") -> list[str]:
-    """Begin of a command line that runs a script in a Blender. blender: its path, or that of a Python with the module bpy; "": the one that this is."""
+    """Begin of a command line that runs a script in a Blender. blender: its path, or that of a Python with the module
+    bpy; "": the one that this is."""
     path = blender or (sys.executable if bpy.app.module else bpy.app.binary_path)
     return [path] if _PYTHON.search(Path(path).name) else [path, "-b", "--python-exit-code", "1", "-P"]
 
 
-def render(shot: FarmShot, frames: tuple[int, ...], blender: str = "", file: Path | None = None, mended: str = "", cancelled: Cancel = never) -> None:
-    """Render frames to their pictures. file: from this one instead of shot.blend, which is what `mended` says. Raises InputError, Cancelled."""
+def render(
+    shot: FarmShot,
+    frames: tuple[int, ...],
+    blender: str = "",
+    file: Path | None = None,
+    mended: str = "",
+    cancelled: Cancel = never,
+) -> None:
+    """Render frames to their pictures. file: from this one instead of shot.blend, which is what `mended` says. Raises
+    InputError, Cancelled."""
     other = ["--file", str(file), "--mended", mended] if file else []
-    run([*program(blender), str(shot.folder / SCRIPT), "--", str(shot.folder), "--frames", f"{frames[0]}-{frames[-1]}", *other], cancelled)
+    run(
+        [
+            *program(blender),
+            str(shot.folder / SCRIPT),
+            "--",
+            str(shot.folder),
+            "--frames",
+            f"{frames[0]}-{frames[-1]}",
+            *other,
+        ],
+        cancelled,
+    )
 
 
 def crops_of(
-    shot: FarmShot, frame: int, file: Path, crops: Iterable[Crop], into: Path, blender: str = "", cancelled: Cancel = never
+    shot: FarmShot,
+    frame: int,
+    file: Path,
+    crops: Iterable[Crop],
+    into: Path,
+    blender: str = "",
+    cancelled: Cancel = never,
 ) -> tuple[list[Any], dict[str, Any]]:
-    """Parts of a frame of a file, (h, w, 4) float32 each; and the seconds and the memory of the process that rendered them. Raises InputError, Cancelled."""
+    """Parts of a frame of a file, (h, w, 4) float32 each; and the seconds and the memory of the process that rendered
+    them. Raises InputError, Cancelled."""
     into.mkdir(parents=True, exist_ok=True)
     named = [f"{x},{y}" for x, y in crops]
     arguments = [str(shot.folder), "--frames", str(frame), "--file", str(file), "--into", str(into), "--crops", *named]
     run([*program(blender), str(shot.folder / SCRIPT), "--", *arguments], cancelled)
-    return [read_picture(into / f"frame_{frame:04}_{name}.exr") for name in named], read_json(into / f"frame_{frame:04}.json") or {}
+    return [read_picture(into / f"frame_{frame:04}_{name}.exr") for name in named], read_json(
+        into / f"frame_{frame:04}.json"
+    ) or {}
 
 
 def lipac_program(lipac: str = "") -> list[str]:
-    """Begin of a command line that does a step of a shot. lipac: the path of the lipac command; "": of what runs now."""
+    """Begin of a command line that does a step of a shot. lipac: the path of the lipac command; "": of what runs
+    now."""
     found = lipac or (shutil.which("lipac", path=str(Path(sys.executable).parent)) if bpy.app.module else None)
     return [found, "shot"] if found else [*program(), str(STEP), "--"]
 
@@ -60,7 +90,9 @@ def run(command: list[str], cancelled: Cancel = never, allowed: tuple[int, ...] 
     """
     if shutil.which(command[0]) is None:
         raise InputError(f"no such program: {command[0]}; name one by --blender or --lipac")
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", creationflags=_NO_WINDOW)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", creationflags=_NO_WINDOW
+    )
     try:
         while True:
             try:

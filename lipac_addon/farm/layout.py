@@ -25,10 +25,12 @@ SCRIPT = "render/render_frames.py"
 
 @dataclass(frozen=True)
 class FarmShot:
-    """What is asked of a shot. folder: where all of it lies; scene: the file, which each machine may see elsewhere. These two are no part of `key`.
+    """What is asked of a shot. folder: where all of it lies; scene: the file, which each machine may see elsewhere.
+    These two are no part of `key`.
 
-    digest: SHA-256 of the scene and what it links. first, last: frames. mean, worst: the error budget. paths: per pixel of an analysis, 0: as many as the
-    budget needs. resolution, samples: None as in the scene. checks: so many frames are verified, in so many crops of the picture each. ending: of pictures.
+    digest: SHA-256 of the scene and what it links. first, last: frames. mean, worst: the error budget. paths: per pixel
+    of an analysis, 0: as many as the budget needs. resolution, samples: None as in the scene. checks: so many frames
+    are verified, in so many crops of the picture each. ending: of pictures.
     """
 
     folder: Path
@@ -73,7 +75,11 @@ class FarmShot:
     def save(self) -> None:
         """As job.json."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        scene = os.path.relpath(self.scene, self.folder) if self.scene.is_absolute() and self.scene.anchor == self.folder.anchor else str(self.scene)
+        scene = (
+            os.path.relpath(self.scene, self.folder)
+            if self.scene.is_absolute() and self.scene.anchor == self.folder.anchor
+            else str(self.scene)
+        )
         write_json(self.folder / JOB, self._asked | {"scene": scene, "key": self.key})
 
     @staticmethod
@@ -86,7 +92,9 @@ class FarmShot:
                 raise ValueError
             given = {name: data[name] for name in names} | {"folder": folder.resolve()}
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{folder} holds no shot that this version knows; write one by lipac farm SCENE -o {folder}") from error
+            raise InputError(
+                f"{folder} holds no shot that this version knows; write one by lipac farm SCENE -o {folder}"
+            ) from error
         given["scene"] = (scene or folder.resolve() / given["scene"]).resolve()
         given["resolution"] = None if given["resolution"] is None else tuple(given["resolution"])
         return FarmShot(**given)
@@ -141,7 +149,9 @@ def read_json(path: Path, **wanted: object) -> dict[str, Any] | None:
         found = json.loads(path.read_text())
     except (OSError, ValueError):
         return None
-    return found if isinstance(found, dict) and all(found.get(name) == value for name, value in wanted.items()) else None
+    return (
+        found if isinstance(found, dict) and all(found.get(name) == value for name, value in wanted.items()) else None
+    )
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
@@ -152,6 +162,11 @@ def write_json(path: Path, data: dict[str, Any]) -> None:
 
 
 def rendered_from(shot: FarmShot, frame: int, chosen: str) -> str | None:
-    """What a frame's picture was mended by, "" where it was not; None where there is no picture that is whole, of this job, and from this set."""
+    """What a frame's picture was mended by, "" where it was not; None where there is no picture that is whole, of this
+    job, and from this set."""
     note, picture = read_json(shot.rendered(frame), key=shot.key, set=chosen), shot.picture(frame)
-    return str(note["mended"]) if note is not None and is_whole(picture) and picture.stat().st_size == note["bytes"] else None
+    return (
+        str(note["mended"])
+        if note is not None and is_whole(picture) and picture.stat().st_size == note["bytes"]
+        else None
+    )

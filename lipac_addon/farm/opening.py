@@ -18,10 +18,13 @@ MOVIES = ("FFMPEG", "AVI_JPEG", "AVI_RAW")
 
 
 def open_shot(shot: FarmShot) -> None:
-    """Open the scene, with the size and samples that are asked for. Raises InputError where it is not what the job was written for, or cannot be read."""
+    """Open the scene, with the size and samples that are asked for. Raises InputError where it is not what the job was
+    written for, or cannot be read."""
     open_scene(shot.scene)
     if digest(shot.scene) != shot.digest:
-        raise InputError(f"{shot.scene}, or a library of it, has changed since the job was written: write it again by lipac farm")
+        raise InputError(
+            f"{shot.scene}, or a library of it, has changed since the job was written: write it again by lipac farm"
+        )
     with muted():
         use_settings(bpy.context.scene, shot._asked)
 
@@ -40,13 +43,22 @@ def digest(path: Path) -> str:
 
 def linked_files() -> list[Path]:
     """The library files that the open file, or one of these, links."""
-    return sorted({Path(bpy.path.abspath(library.filepath, library=library.parent)) for library in bpy.data.libraries if not library.packed_file})
+    return sorted(
+        {
+            Path(bpy.path.abspath(library.filepath, library=library.parent))
+            for library in bpy.data.libraries
+            if not library.packed_file
+        }
+    )
 
 
 def picture_ending(scene: Any) -> str:
-    """Of the pictures that a scene's renders are saved as. Raises InputError where that is a film, or there is no camera."""
+    """Of the pictures that a scene's renders are saved as. Raises InputError where that is a film, or there is no
+    camera."""
     if scene.render.image_settings.file_format in MOVIES:
-        raise InputError(f"scene '{scene.name}' is rendered to a film, which machines cannot share: choose PNG or OpenEXR as output")
+        raise InputError(
+            f"scene '{scene.name}' is rendered to a film, which machines cannot share: choose PNG or OpenEXR as output"
+        )
     if scene.camera is None:
         raise InputError(f"scene '{scene.name}' has no camera: add one and make it active")
     return str(scene.render.file_extension)

@@ -1,7 +1,9 @@
-"""Frames of a shot in any Blender, without LiPaC: `blender -b -P render_frames.py -- FOLDER --frames 1-4`, or Python with the module bpy.
+"""Frames of a shot in any Blender, without LiPaC: `blender -b -P render_frames.py -- FOLDER --frames 1-4`, or Python
+with the module bpy.
 
-Renders shot.blend, or another file, by its own settings. Frames whose picture is there, from the same set, are left alone. Each picture and its note (seconds,
-memory) are put in place whole. With --crops, parts of the picture are rendered instead, to compare.
+Renders shot.blend, or another file, by its own settings. Frames whose picture is there, from the same set, are left
+alone. Each picture and its note (seconds, memory) are put in place whole. With --crops, parts of the picture are
+rendered instead, to compare.
 """
 
 from __future__ import annotations
@@ -87,7 +89,8 @@ def use_settings(scene: Any, job: dict[str, Any]) -> None:
 
 
 def is_done(folder: Path, frame: int, ending: str, stamp: dict[str, str]) -> bool:
-    """Whether a picture is there: from the same set, and the same file where it was mended; what was mended from that set is not undone."""
+    """Whether a picture is there: from the same set, and the same file where it was mended; what was mended from that
+    set is not undone."""
     stem = folder / "pictures" / f"frame_{frame:04}"
     try:
         note = json.loads(stem.with_suffix(".json").read_text())
@@ -106,7 +109,13 @@ def render_picture(scene: Any, folder: Path, frame: int, ending: str, stamp: dic
     with replacing(picture) as part:
         start = time.perf_counter()
         render(scene, part)
-        note = {**stamp, "frame": frame, "seconds": time.perf_counter() - start, "peak_bytes": peak_memory(), "bytes": part.stat().st_size}
+        note = {
+            **stamp,
+            "frame": frame,
+            "seconds": time.perf_counter() - start,
+            "peak_bytes": peak_memory(),
+            "bytes": part.stat().st_size,
+        }
     with replacing(picture.with_suffix(".json")) as part:
         part.write_text(json.dumps(note | {"blender": bpy.app.version_string}, indent=1) + "\n")
     print(f"Saved: '{picture}'", flush=True)
@@ -114,7 +123,13 @@ def render_picture(scene: Any, folder: Path, frame: int, ending: str, stamp: dic
 
 def render_crops(scene: Any, folder: Path, frame: int, crops: list[str]) -> None:
     """Parts of a frame, as frame_0001_x,y.exr, and what they took."""
-    outputs = [node for tree in bpy.data.node_groups if tree.type == "COMPOSITING" for node in tree.nodes if node.type == "OUTPUT_FILE"]
+    outputs = [
+        node
+        for tree in bpy.data.node_groups
+        if tree.type == "COMPOSITING"
+        for node in tree.nodes
+        if node.type == "OUTPUT_FILE"
+    ]
     for node in outputs:
         node.mute = True
     render_settings = scene.render

@@ -1,4 +1,5 @@
-"""What a culled file need not carry: objects that are hidden in all frames and that nothing else uses, and the data that only they use."""
+"""What a culled file need not carry: objects that are hidden in all frames and that nothing else uses, and the data
+that only they use."""
 
 from __future__ import annotations
 
@@ -11,17 +12,33 @@ from ..writeback.emptying import drop_kept
 from ..writeback.marks import EMPTIED, HIDDEN, MODIFIER, all_marks
 
 # Kept by a fake user alone, these are nothing to a render
-_FAKE = ("meshes", "curves", "materials", "images", "node_groups", "textures", "armatures", "actions", "objects", "collections")
+_FAKE = (
+    "meshes",
+    "curves",
+    "materials",
+    "images",
+    "node_groups",
+    "textures",
+    "armatures",
+    "actions",
+    "objects",
+    "collections",
+)
 
 
 def strip() -> int:
-    """Remove from the open file what write-back has hidden and nothing else refers to, with its data, and the data of what it has emptied; returns how many
-    objects went. Restore does not bring any of it back.
+    """Remove from the open file what write-back has hidden and nothing else refers to, with its data, and the data of
+    what it has emptied; returns how many objects went. Restore does not bring any of it back.
 
-    An object stays where anything but collections and scenes uses it, a constraint, a driver or a child that stays, for example; or one of its collections is
-    instanced, or read by nodes, for what these show may go by the places of objects in it.
+    An object stays where anything but collections and scenes uses it, a constraint, a driver or a child that stays, for
+    example; or one of its collections is instanced, or read by nodes, for what these show may go by the places of
+    objects in it.
     """
-    hidden = {ob for ob, words in all_marks().items() if HIDDEN in words and all(map(_of_itself, words)) and ob.library is None and ob.override_library is None}
+    hidden = {
+        ob
+        for ob, words in all_marks().items()
+        if HIDDEN in words and all(map(_of_itself, words)) and ob.library is None and ob.override_library is None
+    }
     picked = _used_collections()
     users = bpy.data.user_map(subset=hidden) if hidden else {}
     going = {ob for ob in hidden if not picked & set(ob.users_collection)}
@@ -44,13 +61,19 @@ def _of_itself(word: str) -> bool:
 
 def _lets_go(user: bpy.types.ID, ob: bpy.types.Object, going: set[bpy.types.Object]) -> bool:
     """Whether a user of an object does not mind that it goes."""
-    return isinstance(user, bpy.types.Collection) or (isinstance(user, bpy.types.Scene) and user.camera != ob) or user in going
+    return (
+        isinstance(user, bpy.types.Collection)
+        or (isinstance(user, bpy.types.Scene) and user.camera != ob)
+        or user in going
+    )
 
 
 def _used_collections() -> set[bpy.types.Collection]:
     """Those that something else than scenes and collections uses, and all in these."""
     users: dict[Any, set[bpy.types.ID]] = bpy.data.user_map(subset=bpy.data.collections) if bpy.data.collections else {}
-    used = {c for c, by in users.items() if any(not isinstance(user, bpy.types.Collection | bpy.types.Scene) for user in by)}
+    used = {
+        c for c, by in users.items() if any(not isinstance(user, bpy.types.Collection | bpy.types.Scene) for user in by)
+    }
     return used | {child for collection in used for child in collection.children_recursive}
 
 

@@ -29,7 +29,8 @@ from .stripping import strip
 
 
 def unite(shot: FarmShot, progress: Progress = silent, cancelled: Cancel = never) -> dict[str, Any]:
-    """Save the scene with what any frame needs, and which set that is; returns the latter. Raises InputError where an analysis is missing, Cancelled."""
+    """Save the scene with what any frame needs, and which set that is; returns the latter. Raises InputError where an
+    analysis is missing, Cancelled."""
     start = time.perf_counter()
     together = united(shot, (shot.analysis(frame) for frame in shot.frames), progress)
     chosen = digest_of(together)
@@ -40,14 +41,26 @@ def unite(shot: FarmShot, progress: Progress = silent, cancelled: Cancel = never
     open_shot(shot)
     sweep(shot.folder, {shot.culled.stem})
     written = save_culled(together, shot.culled)
-    counts = {"instances": len(together.active), "active": int(together.active.sum()), "blend_bytes": shot.culled.stat().st_size}
-    found = {"key": shot.key, "set": chosen, **counts, **written, "seconds": time.perf_counter() - start, "peak_bytes": peak_memory()}
+    counts = {
+        "instances": len(together.active),
+        "active": int(together.active.sum()),
+        "blend_bytes": shot.culled.stat().st_size,
+    }
+    found = {
+        "key": shot.key,
+        "set": chosen,
+        **counts,
+        **written,
+        "seconds": time.perf_counter() - start,
+        "peak_bytes": peak_memory(),
+    }
     write_json(shot.united, found)
     return found
 
 
 def united(shot: FarmShot, analyses: Iterable[Path], progress: Progress = silent) -> ShotSet:
-    """What any of the frames needs whose analyses these are. Raises InputError where one is missing, or of another job."""
+    """What any of the frames needs whose analyses these are. Raises InputError where one is missing, or of another
+    job."""
     together, missing = ShotSet(), []
     for k, path in enumerate(analyses):
         progress(0.5 * k / len(shot.frames), f"reading {path.stem}")
@@ -69,11 +82,14 @@ def digest_of(together: ShotSet) -> str:
     """SHA-256 of a set: which instances there are, and which of them and of their faces stay."""
     keys = together.keys
     faces = (part for name in sorted(together.faces) for part in (name.encode(), together.faces[name].tobytes()))
-    return hashlib.sha256(b"\0".join((packed(keys.records).tobytes(), "\0".join(keys.names).encode(), together.active.tobytes(), *faces))).hexdigest()
+    return hashlib.sha256(
+        b"\0".join((packed(keys.records).tobytes(), "\0".join(keys.names).encode(), together.active.tobytes(), *faces))
+    ).hexdigest()
 
 
 def save_culled(together: ShotSet, path: Path) -> dict[str, Any]:
-    """Save the open scene with only a set's active instances in renders, without what it then does not need; what came of that. It has to be opened again.
+    """Save the open scene with only a set's active instances in renders, without what it then does not need; what came
+    of that. It has to be opened again.
 
     Raises OSError.
     """

@@ -1,7 +1,9 @@
-"""Step `verify`: what culling changes in a frame of the sample, against the full scene; and a larger set for the frames around it where that is too much.
+"""Step `verify`: what culling changes in a frame of the sample, against the full scene; and a larger set for the frames
+around it where that is too much.
 
-The set of a shot is a union of sets that were certified frame by frame. A union keeps more than each of them, but is not itself certified: what an instance
-adds is not always towards the full picture. So frames are measured as they are delivered, by the Blender that renders them.
+The set of a shot is a union of sets that were certified frame by frame. A union keeps more than each of them, but is
+not itself certified: what an instance adds is not always towards the full picture. So frames are measured as they are
+delivered, by the Blender that renders them.
 """
 
 from __future__ import annotations
@@ -27,11 +29,21 @@ MENDS = 3  # larger sets that are tried, the last one with everything
 ALL = "all"
 
 
-def verify(shot: FarmShot, number: int, blender: str = "", threads: int = 0, progress: Progress = silent, cancelled: Cancel = never) -> dict[str, Any]:
-    """Verify a frame of the sample, by its number from 1, and mend its span; returns what was found, which is kept. Raises InputError, Cancelled."""
+def verify(
+    shot: FarmShot,
+    number: int,
+    blender: str = "",
+    threads: int = 0,
+    progress: Progress = silent,
+    cancelled: Cancel = never,
+) -> dict[str, Any]:
+    """Verify a frame of the sample, by its number from 1, and mend its span; returns what was found, which is kept.
+    Raises InputError, Cancelled."""
     chosen = (read_json(shot.united, key=shot.key) or {}).get("set")
     known = read_json(shot.verified(number), key=shot.key, set=chosen)
-    if known is not None and all(rendered_from(shot, frame, str(chosen)) == known["attempts"][-1]["mended"] for frame in shot.span(number)):
+    if known is not None and all(
+        rendered_from(shot, frame, str(chosen)) == known["attempts"][-1]["mended"] for frame in shot.span(number)
+    ):
         return known
     if chosen is None:
         raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
@@ -51,29 +63,44 @@ def verify(shot: FarmShot, number: int, blender: str = "", threads: int = 0, pro
             found = change(full, culled, crops)
             broken = found.breaks(shot.budget)
             name = "" if not attempt else ALL if attempt == MENDS else file.stem
-            attempts.append({**found.entry(), "mended": name, "broken": broken, "max_error": [budget.mean, budget.worst], **taken})
+            attempts.append(
+                {**found.entry(), "mended": name, "broken": broken, "max_error": [budget.mean, budget.worst], **taken}
+            )
             if not broken:
                 break
     last = attempts[-1]
     if last["mended"]:
         progress(0.9, f"rendering frames around {frame} again")
         render(shot, shot.span(number), blender, file, last["mended"], cancelled)
-    kept = {"key": shot.key, "set": chosen, "frame": frame, "span": [shot.span(number)[0], shot.span(number)[-1]], "attempts": attempts}
+    kept = {
+        "key": shot.key,
+        "set": chosen,
+        "frame": frame,
+        "span": [shot.span(number)[0], shot.span(number)[-1]],
+        "attempts": attempts,
+    }
     entry = {**kept, "max_error": [shot.mean, shot.worst], "full": in_full, "seconds": time.perf_counter() - start}
     write_json(shot.verified(number), entry)
     return entry
 
 
 def tighter(budget: Budget, found: dict[str, Any], attempt: int) -> Budget:
-    """A budget that is as much smaller as the picture is above it, and by half more each time; in the end nothing may change."""
+    """A budget that is as much smaller as the picture is above it, and by half more each time; in the end nothing may
+    change."""
     if attempt == MENDS:
         return Budget(0.0, 0.0)
-    share = min(budget.mean / max(found["verified_mean"], 1e-9), budget.worst / max(found["verified_worst"], 1e-9), 1.0) / 2**attempt
+    share = (
+        min(budget.mean / max(found["verified_mean"], 1e-9), budget.worst / max(found["verified_worst"], 1e-9), 1.0)
+        / 2**attempt
+    )
     return Budget(share * budget.mean, share * budget.worst)
 
 
-def mend(shot: FarmShot, number: int, attempt: int, budget: Budget, threads: int, progress: Progress, cancelled: Cancel) -> Path:
-    """A file with what the shot's set has, and what the span's frames need by a smaller budget; at the last attempt the scene itself."""
+def mend(
+    shot: FarmShot, number: int, attempt: int, budget: Budget, threads: int, progress: Progress, cancelled: Cancel
+) -> Path:
+    """A file with what the shot's set has, and what the span's frames need by a smaller budget; at the last attempt the
+    scene itself."""
     if attempt == MENDS:
         return shot.scene
     file, span = shot.mended(number, attempt), shot.span(number)
@@ -83,7 +110,11 @@ def mend(shot: FarmShot, number: int, attempt: int, budget: Budget, threads: int
 
     open_shot(shot)
     asked = [budget.mean, budget.worst]
-    todo = [frame for frame in span if any(note_of(place(frame)).get(name) != value for name, value in (("key", shot.key), ("max_error", asked)))]
+    todo = [
+        frame
+        for frame in span
+        if any(note_of(place(frame)).get(name) != value for name, value in (("key", shot.key), ("max_error", asked)))
+    ]
     if todo:
         decide_frames(shot, todo, replace(shot.options(threads), max_error=budget), place, progress, cancelled)
     save_culled(united(shot, [*map(shot.analysis, shot.frames), *map(place, span)]), file)

@@ -24,7 +24,10 @@ _SIGNATURES = {
     "oidnGetDeviceError": (c_int, [c_void_p, c_void_p]),
     "oidnReleaseDevice": (None, [c_void_p]),
     "oidnNewFilter": (c_void_p, [c_void_p, c_char_p]),
-    "oidnSetSharedFilterImage": (None, [c_void_p, c_char_p, c_void_p, c_int, c_size_t, c_size_t, c_size_t, c_size_t, c_size_t]),
+    "oidnSetSharedFilterImage": (
+        None,
+        [c_void_p, c_char_p, c_void_p, c_int, c_size_t, c_size_t, c_size_t, c_size_t, c_size_t],
+    ),
     "oidnSetFilterBool": (None, [c_void_p, c_char_p, c_bool]),
     "oidnSetFilterInt": (None, [c_void_p, c_char_p, c_int]),
     "oidnCommitFilter": (None, [c_void_p]),
@@ -60,7 +63,8 @@ def require() -> None:
 
 
 def denoise(light: F32, albedo: F32 | None = None, normal: F32 | None = None, threads: int = 0) -> F32:
-    """Light without its noise: (H, W, 3) float32, linear, any range. albedo (0 to 1), normal: of the same shape, free of noise. threads: 0 for all.
+    """Light without its noise: (H, W, 3) float32, linear, any range. albedo (0 to 1), normal: of the same shape, free
+    of noise. threads: 0 for all.
 
     Raises InputError where the library is missing (`require`), RuntimeError with its message where it fails.
     """
@@ -68,7 +72,9 @@ def denoise(light: F32, albedo: F32 | None = None, normal: F32 | None = None, th
     height, width = light.shape[:2]
     out = np.zeros((height, width, 3), np.float32)
     images = {b"color": light, b"albedo": albedo, b"normal": normal if albedo is not None else None}
-    kept = {name: np.ascontiguousarray(image, np.float32) for name, image in images.items() if image is not None} | {b"output": out}
+    kept = {name: np.ascontiguousarray(image, np.float32) for name, image in images.items() if image is not None} | {
+        b"output": out
+    }
     device = library.oidnNewDevice(_CPU)
     try:
         if threads:

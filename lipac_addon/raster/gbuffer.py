@@ -1,4 +1,5 @@
-"""First hits by a raster pass of our own through Blender's `gpu` module: instance, triangle and barycentrics, exact to single precision."""
+"""First hits by a raster pass of our own through Blender's `gpu` module: instance, triangle and barycentrics, exact to
+single precision."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from ...core.scene.model import HIT, Camera, FirstHitBuffer, Scene
 
 ROW = 1024  # instances per row of the texture that holds transforms
 _TEXELS = 3  # of an instance: the rows of its transform
-EXACT = 1 << 24  # whole numbers up to this are exact in single precision: of instances in view, and of triangles of a mesh
+# whole numbers up to this are exact in single precision: of instances in view, and of triangles of a mesh
+EXACT = 1 << 24
 
 _VERTEX = """
 void main()
@@ -37,7 +39,8 @@ void main()
   ids = vec2(float(slot + 1), float(gl_VertexID / 3));
 }
 """
-# Distance over the far end, in float: as exact near and far; what a projection puts into the depth buffer is not, far from the camera.
+# Distance over the far end, in float: as exact near and far; what a projection puts into the depth buffer is not, far
+# from the camera.
 _FRAGMENT = """
 void main()
 {
@@ -68,7 +71,8 @@ def _make_shader() -> Any:
 
 
 class GBuffer:
-    """A scene on the graphics card, to draw first hits of. Everything that camera rays may see is drawn, whether culled or not.
+    """A scene on the graphics card, to draw first hits of. Everything that camera rays may see is drawn, whether culled
+    or not.
 
     `opengl.require` goes before it. To be used on the thread that made it.
     Raises InputError where there are more instances in view, or triangles of a mesh, than a pixel can tell (EXACT).
@@ -97,7 +101,9 @@ class GBuffer:
     @staticmethod
     def _check(count: int, what: str) -> None:
         if count >= EXACT:
-            raise InputError(f"{count:,} {what} are more than a raster can tell apart ({EXACT - 1:,}): use --primary traced")
+            raise InputError(
+                f"{count:,} {what} are more than a raster can tell apart ({EXACT - 1:,}): use --primary traced"
+            )
 
     def _upload(self) -> Any:
         rows = max(-(-len(self.order) // ROW), 1)

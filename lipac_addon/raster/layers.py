@@ -23,7 +23,11 @@ def save_layers(path: Path, passes: Mapping[str, F32]) -> None:
         planes = picture.reshape(*picture.shape[:2], -1)[::-1]
         for k, letter in enumerate(_LETTERS[planes.shape[2]]):
             channels[f"{LAYER}.{name}.{letter}"] = np.ascontiguousarray(planes[..., k], np.float32)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "BlenderMultiChannel": "Blender V2.55.1 and newer"}
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "BlenderMultiChannel": "Blender V2.55.1 and newer",
+    }
     with replacing(path) as part:
         OpenEXR.File(header, channels).write(str(part))
 
@@ -35,5 +39,7 @@ def read_layers(path: Path) -> dict[str, F32]:
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels = {name.partition(".")[2]: channel.pixels[::-1] for name, channel in file.channels().items()}
     names = {name.rpartition(".")[0] for name in channels}
-    planes = {name: [channels[f"{name}.{letter}"] for letter in "VRGBA" if f"{name}.{letter}" in channels] for name in names}
+    planes = {
+        name: [channels[f"{name}.{letter}"] for letter in "VRGBA" if f"{name}.{letter}" in channels] for name in names
+    }
     return {name: np.stack(p, axis=2) if len(p) > 1 else p[0] for name, p in planes.items()}

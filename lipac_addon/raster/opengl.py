@@ -13,7 +13,8 @@ from ..console import muted
 from ..depsgraph import no_new_images
 
 NO_OPENGL = (
-    "no OpenGL here to rasterize with: install EGL and a driver (Debian, Ubuntu: apt install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri; "
+    "no OpenGL here to rasterize with: install EGL and a driver (Debian, Ubuntu: apt install libegl1 libgl1 "
+    "libegl-mesa0 libgl1-mesa-dri; "
     "Fedora: dnf install mesa-libEGL mesa-libGL mesa-dri-drivers), or trace the first hits as well: --primary traced"
 )
 
@@ -22,7 +23,8 @@ _EGL_PLATFORM_DEVICE = 0x313F
 
 @cache
 def has_opengl() -> bool:
-    """Whether a display can be opened without a window system. True where windows are always there: Windows, macOS, and Blender with its window open."""
+    """Whether a display can be opened without a window system. True where windows are always there: Windows, macOS, and
+    Blender with its window open."""
     if sys.platform != "linux" or not bpy.app.background:
         return True
     try:
@@ -37,14 +39,17 @@ def has_opengl() -> bool:
     query, of_device = egl.eglGetProcAddress(b"eglQueryDevicesEXT"), egl.eglGetProcAddress(b"eglGetPlatformDisplayEXT")
     if query and of_device:  # without a window system, Blender opens a device, as here
         devices, count = (pointer * 16)(), ctypes.c_int()
-        ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, pointer, pointer)(query)(len(devices), devices, ctypes.byref(count))
+        ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, pointer, pointer)(query)(
+            len(devices), devices, ctypes.byref(count)
+        )
         open_device = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(of_device)
         displays += [open_device(_EGL_PLATFORM_DEVICE, device, None) for device in devices[: count.value]]
     return any(display and egl.eglInitialize(display, None, None) for display in displays)
 
 
 def require() -> None:
-    """Make the `gpu` module usable. Raises InputError, one line that says which packages to install, where there is no OpenGL."""
+    """Make the `gpu` module usable. Raises InputError, one line that says which packages to install, where there is no
+    OpenGL."""
     import gpu
 
     if not has_opengl():

@@ -37,7 +37,8 @@ _PLAIN = {
     "use_multiview": False,
     "use_persistent_data": False,
 }
-_NO_SKY = "indirect_light_intensity"  # Blender 5.0 has none: there lamps are rendered without the world, the background with it
+# Blender 5.0 has none: there lamps are rendered without the world, the background with it
+_NO_SKY = "indirect_light_intensity"
 _LAMPS_ONLY = {
     # Only lamps: the sky, probes and what the screen shows give no light to surfaces, the path tracer does that.
     _NO_SKY: 0.0,
@@ -53,8 +54,9 @@ FAINT = 1e-6  # luminance below which half precision tells no shares
 class Passes:
     """What EEVEE says of a picture, (H, W, 3) float32 each, linear, rows bottom up, filtered over its samples.
 
-    combined: (H, W, 4), EEVEE's own picture of the light that it was asked for. diffuse, glossy: light of lamps that arrives and is scattered, their colours
-    not applied. unshadowed: (H, W, 3), `direct` as it would be if nothing cast a shadow; None where nobody asked.
+    combined: (H, W, 4), EEVEE's own picture of the light that it was asked for. diffuse, glossy: light of lamps that
+    arrives and is scattered, their colours not applied. unshadowed: (H, W, 3), `direct` as it would be if nothing cast
+    a shadow; None where nobody asked.
     """
 
     combined: F32
@@ -75,8 +77,8 @@ class Passes:
     def visible(self) -> F32:
         """Share of the lamps' light that the shadow maps let arrive, (H, W), 1 where there is none or nobody asked.
 
-        It is the light that is compared, not how much of the pixel is in shadow (EEVEE's Shadow pass): half a pixel that faces away from a lamp, and is dark by
-        that, says nothing about shadows on the other half.
+        It is the light that is compared, not how much of the pixel is in shadow (EEVEE's Shadow pass): half a pixel
+        that faces away from a lamp, and is dark by that, says nothing about shadows on the other half.
         """
         if self.unshadowed is None:
             return np.ones(self.emission.shape[:2], np.float32)
@@ -87,18 +89,30 @@ class Passes:
     def albedo(self) -> F32:
         """Base colours, (H, W, 3); 1 where the background is."""
         total = self.diffuse_color + self.glossy_color
-        return np.minimum(np.where(self.environment.any(axis=2, keepdims=True) & ~total.any(axis=2, keepdims=True), np.float32(1), total), np.float32(1))
+        return np.minimum(
+            np.where(
+                self.environment.any(axis=2, keepdims=True) & ~total.any(axis=2, keepdims=True), np.float32(1), total
+            ),
+            np.float32(1),
+        )
 
 
 def render_passes(
-    scene: bpy.types.Scene, samples: int = 8, lamps_only: bool = True, unshadowed: bool = False, save: Path | None = None
+    scene: bpy.types.Scene,
+    samples: int = 8,
+    lamps_only: bool = True,
+    unshadowed: bool = False,
+    save: Path | None = None,
 ) -> Passes:
-    """Render the current frame of the open file by EEVEE, everything in it, and return its passes; the scene's settings are put back.
+    """Render the current frame of the open file by EEVEE, everything in it, and return its passes; the scene's settings
+    are put back.
 
-    lamps_only: no other light falls on surfaces, for others bring it; else all that EEVEE makes of the scene's settings. unshadowed: with lamps_only, render
-    their light without shadows too. save: also save the picture as save.exr and save.png, displayed as Blender displays its renders.
+    lamps_only: no other light falls on surfaces, for others bring it; else all that EEVEE makes of the scene's
+    settings. unshadowed: with lamps_only, render their light without shadows too. save: also save the picture as
+    save.exr and save.png, displayed as Blender displays its renders.
 
-    Raises InputError where it cannot be rendered, OSError where a file cannot be written. OpenGL must be there (`opengl.require`).
+    Raises InputError where it cannot be rendered, OSError where a file cannot be written. OpenGL must be there
+    (`opengl.require`).
     """
     passes = _render(scene, samples, _LAMPS_ONLY if lamps_only else {}, save)
     if lamps_only and not hasattr(scene.eevee, _NO_SKY):
@@ -108,7 +122,9 @@ def render_passes(
     if not unshadowed:
         return passes
     with changed(scene, world=scene.world if hasattr(scene.eevee, _NO_SKY) else None):
-        return dataclasses.replace(passes, unshadowed=_render(scene, samples, {**_LAMPS_ONLY, "use_shadows": False}).direct)
+        return dataclasses.replace(
+            passes, unshadowed=_render(scene, samples, {**_LAMPS_ONLY, "use_shadows": False}).direct
+        )
 
 
 def _render(scene: bpy.types.Scene, samples: int, eevee: dict[str, Any], save: Path | None = None) -> Passes:
@@ -160,11 +176,18 @@ def _read(path: Path) -> Passes:
     """Passes of a multilayer EXR as EEVEE wrote it."""
     import OpenEXR
 
-    with OpenEXR.File(str(path), separate_channels=True) as file:  # channels are LAYER.PASS.LETTER, and a layer's name may have dots
-        channels = {".".join(name.rsplit(".", 2)[1:]): channel.pixels for part in file.parts for name, channel in part.channels.items()}
+    # channels are LAYER.PASS.LETTER, and a layer's name may have dots
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {
+            ".".join(name.rsplit(".", 2)[1:]): channel.pixels
+            for part in file.parts
+            for name, channel in part.channels.items()
+        }
 
     def color(name: str, letters: str = "RGB") -> F32:
-        return np.ascontiguousarray(np.stack([channels[f"{name}.{letter}"] for letter in letters], axis=2)[::-1], np.float32)
+        return np.ascontiguousarray(
+            np.stack([channels[f"{name}.{letter}"] for letter in letters], axis=2)[::-1], np.float32
+        )
 
     return Passes(
         combined=color("Combined", "RGBA"),

@@ -16,7 +16,8 @@ _ENGINE = "LIPAC_EXTRACT"  # our own reading of the scene is a render, too
 
 @persistent
 def before_frame(scene: bpy.types.Scene, *_: Any) -> None:
-    """render_pre: cull the frame that is about to be rendered, if it was analysed; other frames are rendered in full."""
+    """render_pre: cull the frame that is about to be rendered, if it was analysed; other frames are rendered in
+    full."""
     if scene.render.engine != _ENGINE and scene.lipac.use_for_renders:
         applying.cull_frame(scene)
 
@@ -37,7 +38,8 @@ def before_load(*_: Any) -> None:
 
 @persistent
 def after_load(*_: Any) -> None:
-    """load_post: results were of another file; what a render hid that never ended (a crash, a file saved meanwhile) is shown again."""
+    """load_post: results were of another file; what a render hid that never ended (a crash, a file saved meanwhile) is
+    shown again."""
     results.clear()
     applying.forget()
     overlay.forget()

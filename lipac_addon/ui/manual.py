@@ -24,7 +24,8 @@ _MANUAL = (
 
 
 def manual() -> tuple[str, tuple[tuple[str, str], ...]]:
-    """Where the guide explains each control: the start of all addresses, and pairs of pattern and rest. A zip brings the guide as a page for browsers."""
+    """Where the guide explains each control: the start of all addresses, and pairs of pattern and rest. A zip brings
+    the guide as a page for browsers."""
     page = next((path for name in ("user-guide.html", "user-guide.md") if (path := _DOCS / name).exists()), _DOCS)
     return page.as_uri(), tuple((pattern, f"#{place}") for pattern, place in _MANUAL)
 

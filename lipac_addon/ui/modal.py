@@ -31,8 +31,8 @@ class Explained:
 
 
 class JobOperator(Explained):
-    """An operator that steps a job. `create_job` makes it, `success_message` tells what came of it, `needs_undo_step` whether the file has
-    changed."""
+    """An operator that steps a job. `create_job` makes it, `success_message` tells what came of it, `needs_undo_step`
+    whether the file has changed."""
 
     job: Any
     bl_label: str

@@ -1,4 +1,5 @@
-"""Operators: analyse, live, bake, apply, restore, measure, mark, clear the cache. Each first line of a docstring is a tooltip."""
+"""Operators: analyse, live, bake, apply, restore, measure, mark, clear the cache. Each first line of a docstring is a
+tooltip."""
 
 from __future__ import annotations
 
@@ -45,7 +46,8 @@ class LIPAC_OT_analyze(_Analysis, bpy.types.Operator):
 
 
 class LIPAC_OT_bake_shot(_Analysis, bpy.types.Operator):
-    """Analyze all frames of the scene's range, and hide from renders what none of them needs, until Restore. Nothing flickers"""
+    """Analyze all frames of the scene's range, and hide from renders what none of them needs, until Restore. Nothing
+    flickers"""
 
     bl_idname = "lipac.bake_shot"
     bl_label = "Bake Shot"
@@ -62,14 +64,17 @@ class LIPAC_OT_bake_shot(_Analysis, bpy.types.Operator):
 
 
 class LIPAC_OT_difference(JobOperator, bpy.types.Operator):
-    """Render this frame in full and culled, and measure what culling saves and changes. The difference is an image of the file"""
+    """Render this frame in full and culled, and measure what culling saves and changes. The difference is an image of
+    the file"""
 
     bl_idname = "lipac.difference"
     bl_label = "Render Difference"
 
     @classmethod
     def obstacle(cls, context: bpy.types.Context) -> str:
-        own = _unanalyzed(context) or ("Restore first: the frame is to be rendered in full, too" if applying.marks() else "")
+        own = _unanalyzed(context) or (
+            "Restore first: the frame is to be rendered in full, too" if applying.marks() else ""
+        )
         return super().obstacle(context) or own
 
     def create_job(self, context: bpy.types.Context) -> DifferenceJob:
@@ -102,7 +107,8 @@ class LIPAC_OT_cancel(Explained, bpy.types.Operator):
 
 
 class LIPAC_OT_live(Explained, bpy.types.Operator):
-    """Keep analyzing what the viewport shows, while you work and play back; the overlay follows. Renders go by Analyze"""
+    """Keep analyzing what the viewport shows, while you work and play back; the overlay follows. Renders go by
+    Analyze"""
 
     bl_idname = "lipac.live"
     bl_label = "Live"
@@ -182,7 +188,11 @@ class LIPAC_OT_mark(Explained, bpy.types.Operator):
         for ob in editable:
             ob.lipac_role = self.role
         if len(editable) < len(context.selected_objects):
-            self.report({"WARNING"}, f"{len(context.selected_objects) - len(editable)} linked objects cannot be marked: make library overrides of them")
+            self.report(
+                {"WARNING"},
+                f"{len(context.selected_objects) - len(editable)} linked objects cannot be marked: make library "
+                "overrides of them",
+            )
         return {"FINISHED"} if editable else {"CANCELLED"}
 
 

@@ -20,7 +20,8 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Stop a running analysis and remove everything that `register` added. What was applied to a file stays in it: the file has the record."""
+    """Stop a running analysis and remove everything that `register` added. What was applied to a file stays in it: the
+    file has the record."""
     atexit.unregister(_stop)
     _stop()
     results.clear()

@@ -21,15 +21,23 @@ FARMS = (
 
 
 class LIPAC_OT_submit_shot(Explained, bpy.types.Operator):
-    """Write the scene's range of frames as a job for a render farm: analysed there, rendered with what it needs, verified. Nothing is sent"""
+    """Write the scene's range of frames as a job for a render farm: analysed there, rendered with what it needs,
+    verified. Nothing is sent"""
 
     bl_idname = "lipac.submit_shot"
     bl_label = "Submit Shot"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     farm: EnumProperty(name="Farm", description="Who runs it", items=FARMS)  # type: ignore[valid-type]
-    folder: StringProperty(name="Folder", description="For the job and all of the shot; all machines must see it", subtype="DIR_PATH")  # type: ignore[valid-type]
-    chunk: IntProperty(name="Frames to a task", description="So many frames are analysed or rendered by a machine at a time", default=10, min=1)  # type: ignore[valid-type]
+    folder: StringProperty(  # type: ignore[valid-type]
+        name="Folder", description="For the job and all of the shot; all machines must see it", subtype="DIR_PATH"
+    )
+    chunk: IntProperty(  # type: ignore[valid-type]
+        name="Frames to a task",
+        description="So many frames are analysed or rendered by a machine at a time",
+        default=10,
+        min=1,
+    )
     lipac: StringProperty(name="LiPaC", description="The lipac command of the farm's machines", default="lipac")  # type: ignore[valid-type]
     blender: StringProperty(name="Blender", description="The Blender of the farm's machines", default="blender")  # type: ignore[valid-type]
 
@@ -37,7 +45,8 @@ class LIPAC_OT_submit_shot(Explained, bpy.types.Operator):
     def obstacle(cls, context: bpy.types.Context) -> str:
         if engine.missing():
             return engine.obstacle()
-        sure = not bpy.app.background or bpy.app.version >= (5, 1)  # before, a file in the background stayed unsaved whatever was done
+        # before, a file in the background stayed unsaved whatever was done
+        sure = not bpy.app.background or bpy.app.version >= (5, 1)
         if not bpy.data.filepath or (sure and bpy.data.is_dirty):
             return "Save the file first: that is what a farm's machines open"
         if context.scene.lipac.policy != LIGHT_PATHS:
@@ -62,7 +71,10 @@ class LIPAC_OT_submit_shot(Explained, bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if props.marked(props.PIN) or props.marked(props.IGNORE):
-            self.report({"WARNING"}, "Pin and Ignore are settings of this panel: the farm's analysis decides by light paths alone")
+            self.report(
+                {"WARNING"},
+                "Pin and Ignore are settings of this panel: the farm's analysis decides by light paths alone",
+            )
         self.report({"INFO"}, told)
         if not bpy.app.background:
             bpy.ops.wm.path_open(filepath=str(folder))

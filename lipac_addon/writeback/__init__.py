@@ -6,10 +6,12 @@
 - a mask modifier on geometry-nodes hosts, which removes single instances;
 - the render switch of particle systems, as a whole;
 - a face modifier on objects of which parts are culled;
-- and where asked to, objects that only culled instances show are emptied, so that their images, meshes and modifiers cost nothing.
+- and where asked to, objects that only culled instances show are emptied, so that their images, meshes and modifiers
+  cost nothing.
 
-Read in the order of use: `references` (who instances whom), `sources` (what else looks at what is instanced), `plan` (which means for which instance), `marks`
-(the record kept in the .blend), `mask` and `faces` (the modifiers), `emptying`. Only the last affects the viewport, and nothing is written to disk.
+Read in the order of use: `references` (who instances whom), `sources` (what else looks at what is instanced), `plan`
+(which means for which instance), `marks` (the record kept in the .blend), `mask` and `faces` (the modifiers),
+`emptying`. Only the last affects the viewport, and nothing is written to disk.
 """
 
 from __future__ import annotations
@@ -36,8 +38,9 @@ class WritebackResult:
 
     removed: (N,) bool, the culled instances that a render no longer meets.
     kept: culled instances that could not be removed, counted by the reason.
-    objects, hosts, particle_hosts, sources: numbers of hidden objects, of masked geometry-nodes hosts, of emitters switched off, of objects emptied.
-    face_hosts, faces_removed: numbers of objects that lost faces, and of these; whole: objects that should have, counted by the reason.
+    objects, hosts, particle_hosts, sources: numbers of hidden objects, of masked geometry-nodes hosts, of emitters
+    switched off, of objects emptied. face_hosts, faces_removed: numbers of objects that lost faces, and of these;
+    whole: objects that should have, counted by the reason.
     """
 
     removed: NDArray[np.bool_]
@@ -79,14 +82,16 @@ def apply(
     """Remove culled instances from renders of the open file.
 
     culled: (N,) bool, True where an instance goes; keys: of the same N instances, extracted with nothing applied.
-    places: by the full name of an object that instances by geometry nodes, (R, 3) where its rows are, in its own space. A row is then culled only while the
-    instance of its number is there: what an edit numbers anew is not taken for others. Not for objects that move their instances over the frames.
-    scene: the one that was analysed, None: the open one. lasting: it is to be saved, or undone, neither of which Blender does for directly linked objects: they
-    stay. in_render: a handler of a render calls. free: empty the sources of which nothing stays, too, which the viewport shows; not together with places, by
-    which what is culled may come back.
-    faces: by the full name of an object, (F,) bool, those faces of its mesh that stay, behind all its modifiers; of other objects all do.
-    What an earlier call did is taken back first, so calling twice is as calling once. All or nothing: where something fails, what was done is taken back.
-    Raises ValueError where the lengths differ.
+    places: by the full name of an object that instances by geometry nodes, (R, 3) where its rows are, in its own space.
+    A row is then culled only while the instance of its number is there: what an edit numbers anew is not taken for
+    others. Not for objects that move their instances over the frames. scene: the one that was analysed, None: the open
+    one. lasting: it is to be saved, or undone, neither of which Blender does for directly linked objects: they stay.
+    in_render: a handler of a render calls. free: empty the sources of which nothing stays, too, which the viewport
+    shows; not together with places, by which what is culled may come back.
+    faces: by the full name of an object, (F,) bool, those faces of its mesh that stay, behind all its modifiers; of
+    other objects all do.
+    What an earlier call did is taken back first, so calling twice is as calling once. All or nothing: where something
+    fails, what was done is taken back. Raises ValueError where the lengths differ.
     """
     if len(culled) != len(keys.records):
         raise ValueError(f"{len(culled)} states for {len(keys.records)} instances")
@@ -94,7 +99,9 @@ def apply(
     plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render, faces, free and not places)
     emitters = len({e.name_full for e, _ in plan.particle_modifiers})
     cut = len(plan.faces), sum(int(np.count_nonzero(gone)) for _, gone in plan.faces)
-    result = WritebackResult(plan.removed, plan.kept, len(plan.objects), len(plan.masks), emitters, *cut, plan.whole, len(plan.sources))
+    result = WritebackResult(
+        plan.removed, plan.kept, len(plan.objects), len(plan.masks), emitters, *cut, plan.whole, len(plan.sources)
+    )
     try:
         _write(plan, places or {}, in_render)
         return result
@@ -104,9 +111,11 @@ def apply(
 
 
 def restore(in_render: bool = False) -> bool:
-    """Take back everything that `apply` did in the open file, also when that was saved and loaded since; True where there was something.
+    """Take back everything that `apply` did in the open file, also when that was saved and loaded since; True where
+    there was something.
 
-    Exact: values, active modifiers, and no data-block or custom property left over. What a user changed since stays as the user set it.
+    Exact: values, active modifiers, and no data-block or custom property left over. What a user changed since stays as
+    the user set it.
     """
     found = mask.remove_all()
     found |= emptying.fill_all()
@@ -115,7 +124,10 @@ def restore(in_render: bool = False) -> bool:
 
 def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:
     """Marks first: whatever fails afterwards can be found and taken back."""
-    hidden, off = ((ob, marks.HIDDEN) for ob in plan.objects), ((ob, marks.particles(ob.modifiers[name])) for ob, name in plan.particle_modifiers)
+    hidden, off = (
+        ((ob, marks.HIDDEN) for ob in plan.objects),
+        ((ob, marks.particles(ob.modifiers[name])) for ob, name in plan.particle_modifiers),
+    )
     emptied = ((ob, word) for ob in plan.sources for word in emptying.words(ob))
     marks.write([*hidden, *off, *((host, marks.MASKED) for host, _ in (*plan.masks, *plan.faces)), *emptied])
     marks.set_hidden(list(plan.objects), True, in_render)

@@ -1,7 +1,9 @@
-"""Emptying: objects that only culled instances show lose their data and modifiers in renders, hence their meshes, materials and images.
+"""Emptying: objects that only culled instances show lose their data and modifiers in renders, hence their meshes,
+materials and images.
 
-Modifiers are switched off for renders. The data is replaced by a stand-in of the same kind with nothing in it, and as many material slots. What was there is
-kept by a pointer of the object, so it stays in the file, and is put back where nobody has put something else.
+Modifiers are switched off for renders. The data is replaced by a stand-in of the same kind with nothing in it, and as
+many material slots. What was there is kept by a pointer of the object, so it stays in the file, and is put back where
+nobody has put something else.
 """
 
 from __future__ import annotations
@@ -47,14 +49,25 @@ def empty(objects: Iterable[bpy.types.Object]) -> None:
 
 
 def fill_all() -> bool:
-    """Put back what emptied objects had, and remove the stand-ins; True where there was something. Modifiers have marks."""
+    """Put back what emptied objects had, and remove the stand-ins; True where there was something. Modifiers have
+    marks."""
     emptied = [ob for ob in bpy.data.objects if _KEPT in ob]
     for ob in emptied:
         data = ob[_KEPT]
-        if isinstance(data, bpy.types.ID) and ob.data is not None and _is_stand_in(ob.data) and type(data) is type(ob.data):
+        if (
+            isinstance(data, bpy.types.ID)
+            and ob.data is not None
+            and _is_stand_in(ob.data)
+            and type(data) is type(ob.data)
+        ):
             ob.data = data
         del ob[_KEPT]
-    unused = [block for kind in (bpy.data.meshes, bpy.data.curves) for block in kind if _is_stand_in(block) and not block.users]
+    unused = [
+        block
+        for kind in (bpy.data.meshes, bpy.data.curves)
+        for block in kind
+        if _is_stand_in(block) and not block.users
+    ]
     if unused:
         bpy.data.batch_remove(unused)
     return bool(emptied or unused)
@@ -73,16 +86,25 @@ def _exchange(ob: bpy.types.Object, stand_in: bpy.types.ID) -> None:
 
 
 def _is_exchangeable(ob: bpy.types.Object) -> bool:
-    """Whether data can be exchanged, put back without a trace, and cost nothing meanwhile: not where something of the object's own goes by what is in it, nor
-    where the object has materials of its own, to which a pointer would load their images."""
-    if ob.particle_systems or any(m.type == "MULTIRES" for m in ob.modifiers) or getattr(ob.data, "shape_keys", None) is not None:
+    """Whether data can be exchanged, put back without a trace, and cost nothing meanwhile: not where something of the
+    object's own goes by what is in it, nor where the object has materials of its own, to which a pointer would load
+    their images."""
+    if (
+        ob.particle_systems
+        or any(m.type == "MULTIRES" for m in ob.modifiers)
+        or getattr(ob.data, "shape_keys", None) is not None
+    ):
         return False
-    return ob.data is not None and not any(slot.link == "OBJECT" and slot.material is not None for slot in ob.material_slots)
+    return ob.data is not None and not any(
+        slot.link == "OBJECT" and slot.material is not None for slot in ob.material_slots
+    )
 
 
 def _is_free(ob: bpy.types.Object, modifier: bpy.types.Modifier) -> bool:
     """Whether a modifier can be switched off for renders, and stays so."""
-    return modifier.show_render and not is_animated(ob, f'modifiers["{bpy.utils.escape_identifier(modifier.name)}"].show_render')
+    return modifier.show_render and not is_animated(
+        ob, f'modifiers["{bpy.utils.escape_identifier(modifier.name)}"].show_render'
+    )
 
 
 def _new(kind: str, slots: int) -> bpy.types.ID:
@@ -100,4 +122,8 @@ def _is_stand_in(data: bpy.types.ID) -> bool:
     """Whether data bears our mark, and is what we make: anyone can copy a mark."""
     if data.get(marks.KEY) != _STAND_IN or data.library is not None:
         return False
-    return not data.vertices if isinstance(data, bpy.types.Mesh) else not data.splines and getattr(data, "body", "") in ("", "Text")
+    return (
+        not data.vertices
+        if isinstance(data, bpy.types.Mesh)
+        else not data.splines and getattr(data, "body", "") in ("", "Text")
+    )

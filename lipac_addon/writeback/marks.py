@@ -1,11 +1,13 @@
 """The record of what was hidden: a mark on each touched object, as a custom property.
 
-The mark lives and travels with what it speaks of: it survives saving, loading, a crash, renaming and duplication (a copy of a hidden object is shown again,
-too). Blender saves no custom property that is added to a library override: the marks of these are on an object of our own, which points to them.
+The mark lives and travels with what it speaks of: it survives saving, loading, a crash, renaming and duplication (a
+copy of a hidden object is shown again, too). Blender saves no custom property that is added to a library override: the
+marks of these are on an object of our own, which points to them.
 
-A mark is a list of words: `HIDDEN` for the object's own switch, `PARTICLES` and a number for the render switch of the modifier with that persistent number,
-`MASKED` for a mask modifier, `EMPTIED` for a source that shows nothing (`emptying`), `MODIFIER` and a number for its modifiers. All switches were on before,
-else they are not touched, so the old value needs no storing. A word that fits nothing does nothing.
+A mark is a list of words: `HIDDEN` for the object's own switch, `PARTICLES` and a number for the render switch of the
+modifier with that persistent number, `MASKED` for a mask modifier, `EMPTIED` for a source that shows nothing
+(`emptying`), `MODIFIER` and a number for its modifiers. All switches were on before, else they are not touched, so the
+old value needs no storing. A word that fits nothing does nothing.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ def all_marks() -> Words:
     found: Words = {}
     for ob in bpy.data.objects:
         value = ob.get(KEY)
-        if isinstance(value, str) and (words := [word for word in value.split("\n") if word in _WORDS or word.startswith((PARTICLES, MODIFIER))]):
+        if isinstance(value, str) and (
+            words := [word for word in value.split("\n") if word in _WORDS or word.startswith((PARTICLES, MODIFIER))]
+        ):
             found[ob] = words
         elif _is_record(ob):
             for entry in ob[_RECORD]:
@@ -60,7 +64,8 @@ def write(words: Iterable[tuple[bpy.types.Object, str]]) -> None:
 
 @contextmanager
 def making() -> Iterator[list[bpy.types.ID]]:
-    """Takes the data-blocks that are put into the list away again where an error ends their making, before they can be told as ours."""
+    """Takes the data-blocks that are put into the list away again where an error ends their making, before they can be
+    told as ours."""
     made: list[bpy.types.ID] = []
     try:
         yield made
@@ -75,7 +80,8 @@ def particles(modifier: bpy.types.Modifier) -> str:
 
 
 def take_back(in_render: bool = False) -> bool:
-    """Undo every mark in the file and remove it; True where there was one. Values that are no longer as they were set stay. in_render: as of `set_hidden`."""
+    """Undo every mark in the file and remove it; True where there was one. Values that are no longer as they were set
+    stay. in_render: as of `set_hidden`."""
     found = all_marks()
     for ob, words in found.items():
         for modifier in ob.modifiers:
@@ -100,9 +106,10 @@ def take_back(in_render: bool = False) -> bool:
 def set_hidden(objects: list[bpy.types.Object], hidden: bool, in_render: bool = False) -> None:
     """Set `hide_render` of many objects.
 
-    Assigning one by one walks all view layers each time, which is quadratic; so values are written at once. That changes no linked object, and Blender saves no
-    change of a library override that was not assigned. in_render: a handler of a render calls, in which an assignment crashes Blender where the compositor
-    reads a second scene; so overrides, which nobody saves meanwhile, are not assigned.
+    Assigning one by one walks all view layers each time, which is quadratic; so values are written at once. That
+    changes no linked object, and Blender saves no change of a library override that was not assigned. in_render: a
+    handler of a render calls, in which an assignment crashes Blender where the compositor reads a second scene; so
+    overrides, which nobody saves meanwhile, are not assigned.
     """
     if not objects:
         return
@@ -114,10 +121,16 @@ def set_hidden(objects: list[bpy.types.Object], hidden: bool, in_render: bool = 
     for ob in assigned:
         ob.hide_render = hidden
     free = np.array([not ob.is_property_readonly("hide_render") for ob in bpy.data.objects])
-    bpy.data.objects.foreach_set("hide_render", np.concatenate([values[free], values[~free]]))  # Blender passes over the others, without their values
+    # Blender passes over the others, without their values
+    bpy.data.objects.foreach_set("hide_render", np.concatenate([values[free], values[~free]]))
     for ob in objects:
         ob.update_tag()
 
 
 def _is_record(ob: bpy.types.Object) -> bool:
-    return ob.get(KEY) == _RECORD and ob.type == "EMPTY" and not ob.users_collection and not isinstance(ob.get(_RECORD, ""), str)
+    return (
+        ob.get(KEY) == _RECORD
+        and ob.type == "EMPTY"
+        and not ob.users_collection
+        and not isinstance(ob.get(_RECORD, ""), str)
+    )

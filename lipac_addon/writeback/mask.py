@@ -1,9 +1,10 @@
 """The mask modifier: geometry nodes that delete single instances of their host, by index.
 
-The culled rows are a boolean attribute on the points of a mask mesh, an object that is in no scene. The modifier samples it by instance index and deletes
-where it is True; an index beyond the mask reads False and stays. Where the mask knows where its rows were, it is the points' position, and an instance that is
-elsewhere stays: an edit of the scatter has numbered it anew. One small node group serves all hosts. A million instances cost a fraction of a second. What stays
-keeps its number, hence its random colour.
+The culled rows are a boolean attribute on the points of a mask mesh, an object that is in no scene. The modifier
+samples it by instance index and deletes where it is True; an index beyond the mask reads False and stays. Where the
+mask knows where its rows were, it is the points' position, and an instance that is elsewhere stays: an edit of the
+scatter has numbered it anew. One small node group serves all hosts. A million instances cost a fraction of a second.
+What stays keeps its number, hence its random colour.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ def add(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32 | None = No
     append(host, group, NAME, {"Mask": mask_object(rows, places), INSTANCES: places is None})
 
 
-def append(host: bpy.types.Object, group: bpy.types.NodeTree, name: str, inputs: dict[str, bpy.types.ID | bool]) -> None:
+def append(
+    host: bpy.types.Object, group: bpy.types.NodeTree, name: str, inputs: dict[str, bpy.types.ID | bool]
+) -> None:
     """Append a modifier of a node group to an object, for renders alone. inputs: by name."""
     active = host.modifiers.active
     modifier = host.modifiers.new(name, "NODES")
@@ -57,7 +60,11 @@ def remove_all() -> bool:
     masked = {ob for ob, words in marks.all_marks().items() if marks.MASKED in words}
     for ob in bpy.data.objects if groups else masked:
         if ob.is_editable:
-            for modifier in [m for m in ob.modifiers if m.type == "NODES" and (m.node_group in groups or (ob in masked and _is_emptied(m)))]:
+            for modifier in [
+                m
+                for m in ob.modifiers
+                if m.type == "NODES" and (m.node_group in groups or (ob in masked and _is_emptied(m)))
+            ]:
                 ob.modifiers.remove(modifier)
     blocks = [*groups, *(b for kind in (bpy.data.objects, bpy.data.meshes) for b in kind if is_ours(b))]
     if blocks:
@@ -75,7 +82,10 @@ def is_ours(block: bpy.types.ID) -> bool:
     if block.get(marks.KEY) != _MASK or block.library is not None:
         return False
     if isinstance(block, bpy.types.NodeTree):
-        return block.bl_idname == "GeometryNodeTree" and _inputs(block) in (["Geometry", "Mask"], ["Geometry", "Mask", INSTANCES])
+        return block.bl_idname == "GeometryNodeTree" and _inputs(block) in (
+            ["Geometry", "Mask"],
+            ["Geometry", "Mask", INSTANCES],
+        )
     mesh = block.data if isinstance(block, bpy.types.Object) else block
     if not isinstance(mesh, bpy.types.Mesh) or (isinstance(block, bpy.types.Object) and block.users_collection):
         return False
@@ -92,7 +102,9 @@ def mask_object(rows: NDArray[np.bool_], places: F32 | None) -> bpy.types.Object
         made.append(mesh := bpy.data.meshes.new(NAME))
         mesh.vertices.add(len(rows))
         if places is not None:
-            mesh.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(places[: len(rows)], np.float32).ravel())
+            mesh.attributes["position"].data.foreach_set(
+                "vector", np.ascontiguousarray(places[: len(rows)], np.float32).ravel()
+            )
         mesh.attributes.new(ATTRIBUTE, "BOOLEAN", "POINT").data.foreach_set("value", rows)
         made.append(ob := bpy.data.objects.new(NAME, mesh))
         for block in (mesh, ob):
@@ -148,7 +160,9 @@ class Nodes:
                 enabled[name].default_value = value
         return node
 
-    def field(self, kind: str, inputs: dict[str, Any] | None = None, output: int = 0, **settings: Any) -> bpy.types.NodeSocket:
+    def field(
+        self, kind: str, inputs: dict[str, Any] | None = None, output: int = 0, **settings: Any
+    ) -> bpy.types.NodeSocket:
         """An output of a new node: that of a number among the enabled ones."""
         return [s for s in self.new(kind, inputs, **settings).outputs if s.enabled][output]
 
@@ -170,8 +184,15 @@ def _goes(nodes: Nodes, mask: bpy.types.NodeSocket, anywhere: bpy.types.NodeSock
     index, position = nodes.field("GeometryNodeInputIndex"), nodes.field("GeometryNodeInputPosition")
     sampled: dict[str, Any] = {"domain": "POINT", "clamp": False}
     named = nodes.field("GeometryNodeInputNamedAttribute", {"Name": ATTRIBUTE}, data_type="BOOLEAN")
-    culled = nodes.field("GeometryNodeSampleIndex", {"Geometry": points, "Value": named, "Index": index}, data_type="BOOLEAN", **sampled)
-    place = nodes.field("GeometryNodeSampleIndex", {"Geometry": points, "Value": position, "Index": index}, data_type="FLOAT_VECTOR", **sampled)
+    culled = nodes.field(
+        "GeometryNodeSampleIndex", {"Geometry": points, "Value": named, "Index": index}, data_type="BOOLEAN", **sampled
+    )
+    place = nodes.field(
+        "GeometryNodeSampleIndex",
+        {"Geometry": points, "Value": position, "Index": index},
+        data_type="FLOAT_VECTOR",
+        **sampled,
+    )
     compared: dict[str, Any] = {"data_type": "VECTOR", "mode": "ELEMENT", "operation": "EQUAL"}
     there = nodes.field("FunctionNodeCompare", {"A": position, "B": place, "Epsilon": REACH}, **compared)
     return nodes.both("AND", culled, nodes.both("OR", there, anywhere))
@@ -180,31 +201,56 @@ def _goes(nodes: Nodes, mask: bpy.types.NodeSocket, anywhere: bpy.types.NodeSock
 def _delete(nodes: Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
     """The geometry without the instances `goes`, the others numbered as before.
 
-    Blender's number of an instance, from which Object Info > Random and motion blur go, is its id, or its place among all where there are none. Of instances
-    with equal ids the first has this number, and each later one draws another: so what goes is made empty where it shares its id with one that stays.
+    Blender's number of an instance, from which Object Info > Random and motion blur go, is its id, or its place among
+    all where there are none. Of instances with equal ids the first has this number, and each later one draws another:
+    so what goes is made empty where it shares its id with one that stays.
     """
     own = nodes.field("GeometryNodeInputID")
-    numbered = nodes.field("GeometryNodeStoreNamedAttribute", {"Geometry": geometry, "Name": "id", "Value": own}, domain="INSTANCE", data_type="INT")
+    numbered = nodes.field(
+        "GeometryNodeStoreNamedAttribute",
+        {"Geometry": geometry, "Name": "id", "Value": own},
+        domain="INSTANCE",
+        data_type="INT",
+    )
     stays = nodes.field("FunctionNodeBooleanMath", {"Boolean": goes}, operation="NOT")
-    stay = nodes.field("GeometryNodeAccumulateField", {"Value": stays, "Group ID": own}, output=2, data_type="INT", domain="INSTANCE")
+    stay = nodes.field(
+        "GeometryNodeAccumulateField", {"Value": stays, "Group ID": own}, output=2, data_type="INT", domain="INSTANCE"
+    )
     needed = nodes.both("AND", goes, stay)
-    some = nodes.field("GeometryNodeAttributeStatistic", {"Geometry": numbered, "Attribute": needed}, output=4, data_type="FLOAT", domain="INSTANCE")
+    some = nodes.field(
+        "GeometryNodeAttributeStatistic",
+        {"Geometry": numbered, "Attribute": needed},
+        output=4,
+        data_type="FLOAT",
+        domain="INSTANCE",
+    )
     deleted = nodes.field("GeometryNodeDeleteGeometry", {"Geometry": numbered, "Selection": goes}, domain="INSTANCE")
     emptied = _emptied(nodes, numbered, nodes.both("NIMPLY", goes, needed), needed)
     return nodes.field("GeometryNodeSwitch", {"Switch": some, "False": deleted, "True": emptied}, input_type="GEOMETRY")
 
 
-def _emptied(nodes: Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket, empties: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """The geometry without the instances `goes`, and with instances of nothing in place of `empties`, in the same order."""
+def _emptied(
+    nodes: Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket, empties: bpy.types.NodeSocket
+) -> bpy.types.NodeSocket:
+    """The geometry without the instances `goes`, and with instances of nothing in place of `empties`, in the same
+    order."""
     capture = nodes.new("GeometryNodeCaptureAttribute", domain="INSTANCE")
     for kind, name in (("INT", "Row"), ("BOOLEAN", "Empty")):
         capture.capture_items.new(kind, name)
     for value, name in ((geometry, "Geometry"), (nodes.field("GeometryNodeInputIndex"), "Row"), (empties, "Empty")):
         nodes.link(value, capture.inputs[name])
-    left = nodes.field("GeometryNodeDeleteGeometry", {"Geometry": capture.outputs["Geometry"], "Selection": goes}, domain="INSTANCE")
-    parts = nodes.new("GeometryNodeSeparateGeometry", {"Geometry": left, "Selection": capture.outputs["Empty"]}, domain="INSTANCE")
+    left = nodes.field(
+        "GeometryNodeDeleteGeometry", {"Geometry": capture.outputs["Geometry"], "Selection": goes}, domain="INSTANCE"
+    )
+    parts = nodes.new(
+        "GeometryNodeSeparateGeometry", {"Geometry": left, "Selection": capture.outputs["Empty"]}, domain="INSTANCE"
+    )
     places = nodes.field("GeometryNodeInstancesToPoints", {"Instances": parts.outputs["Selection"]})
     joined = nodes.new("GeometryNodeJoinGeometry")
     for part in (nodes.field("GeometryNodeInstanceOnPoints", {"Points": places}), parts.outputs["Inverted"]):
         nodes.link(part, joined.inputs["Geometry"])
-    return nodes.field("GeometryNodeSortElements", {"Geometry": joined.outputs["Geometry"], "Sort Weight": capture.outputs["Row"]}, domain="INSTANCE")
+    return nodes.field(
+        "GeometryNodeSortElements",
+        {"Geometry": joined.outputs["Geometry"], "Sort Weight": capture.outputs["Row"]},
+        domain="INSTANCE",
+    )

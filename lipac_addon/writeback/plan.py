@@ -41,15 +41,22 @@ PARTICLE = "single particles cannot be removed"
 SHAPES = "something else is made from its faces"
 DUPLI = "single vertex and face duplicates cannot be removed"
 
-_BY_KIND = {Kind.OBJECT: SHARED, Kind.COLLECTION: PART, Kind.GEOMETRY_NODES: NESTED, Kind.PARTICLE: PARTICLE, Kind.DUPLI: DUPLI}
+_BY_KIND = {
+    Kind.OBJECT: SHARED,
+    Kind.COLLECTION: PART,
+    Kind.GEOMETRY_NODES: NESTED,
+    Kind.PARTICLE: PARTICLE,
+    Kind.DUPLI: DUPLI,
+}
 
 
 @dataclass(frozen=True)
 class Plan:
-    """objects: to hide; masks: hosts and (R,) bool rows to delete; particle_modifiers: emitters and modifier names to switch off; sources: objects to empty.
+    """objects: to hide; masks: hosts and (R,) bool rows to delete; particle_modifiers: emitters and modifier names to
+    switch off; sources: objects to empty.
 
-    faces: objects and (F,) bool faces to delete. removed: (N,) bool, the instances that go; kept: culled ones that stay, by reason; whole: objects that keep
-    all faces, by reason.
+    faces: objects and (F,) bool faces to delete. removed: (N,) bool, the instances that go; kept: culled ones that
+    stay, by reason; whole: objects that keep all faces, by reason.
     """
 
     objects: tuple[bpy.types.Object, ...]
@@ -71,7 +78,8 @@ def make_plan(
     faces: Mapping[str, Mask] = EMPTY,
     free: bool = False,
 ) -> Plan:
-    """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render, faces, free: as of `apply`."""
+    """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render, faces, free: as
+    of `apply`."""
     if not culled.any() and not faces:
         return Plan((), (), (), (), (), np.zeros(len(culled), bool), {}, {})
     return _Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan(faces, free)
@@ -79,8 +87,8 @@ def make_plan(
 
 @dataclass(frozen=True)
 class Columns:
-    """The fields of key records as contiguous arrays: kind (N,) uint8; host, object, row (N,) int32, row the first of the path; deep (N,) bool, whether the
-    path goes on."""
+    """The fields of key records as contiguous arrays: kind (N,) uint8; host, object, row (N,) int32, row the first of
+    the path; deep (N,) bool, whether the path goes on."""
 
     kind: NDArray[np.uint8]
     host: NDArray[np.int32]
@@ -98,7 +106,8 @@ class Columns:
 def deletable_rows(row: NDArray[np.int32], stays: Mask) -> Mask:
     """Rows of one geometry-nodes host that can go: (R,) bool, R one more than the highest row seen.
 
-    row (N,) int32 of the host's instances, stays (N,) bool; a row is deletable when it has instances and none of them stays.
+    row (N,) int32 of the host's instances, stays (N,) bool; a row is deletable when it has instances and none of them
+    stays.
     """
     seen = np.zeros(int(row.max()) + 1, bool)
     seen[row] = True
@@ -107,7 +116,8 @@ def deletable_rows(row: NDArray[np.int32], stays: Mask) -> Mask:
 
 
 def hideable_names(culled: Mask, columns: Columns, members: Mask) -> Mask:
-    """(number of names,) bool: objects whose `hide_render` takes away some instances, all of them culled; members as in `by_source`."""
+    """(number of names,) bool: objects whose `hide_render` takes away some instances, all of them culled; members as in
+    `by_source`."""
     touched = np.zeros(len(members), np.int64)
     live = np.zeros(len(members), np.int64)
     for name, chosen in ((columns.object, by_source(columns, members)), (columns.host, columns.host >= 0)):
@@ -119,8 +129,9 @@ def hideable_names(culled: Mask, columns: Columns, members: Mask) -> Mask:
 def by_source(columns: Columns, members: Mask) -> Mask:
     """(N,) bool: instances that vanish, or may vanish, when the object they show is hidden.
 
-    Objects themselves, vertex and face duplicates, and parts of instanced collections; not what geometry nodes or particles make of a single object.
-    members: (number of names,) bool, the objects that are in an instanced collection.
+    Objects themselves, vertex and face duplicates, and parts of instanced collections; not what geometry nodes or
+    particles make of a single object. members: (number of names,) bool, the objects that are in an instanced
+    collection.
     """
     kind, ob = columns.kind, columns.object
     parts = (kind == Kind.COLLECTION) | ((kind == Kind.GEOMETRY_NODES) & columns.deep)
@@ -132,11 +143,15 @@ class _Planner:
 
     def __init__(self, culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool, in_render: bool) -> None:
         self.culled, self.columns, self.names = culled, Columns.of(keys.records), keys.names
-        self.found = {full_name(ob): ob for ob in bpy.data.objects}  # Blender's own search takes as long as there are objects
+        # Blender's own search takes as long as there are objects
+        self.found = {full_name(ob): ob for ob in bpy.data.objects}
         others = scenes_in_picture(scene)
         self.references = References(others)
-        self.keeps_linked = lasting or (in_render and bool(others))  # these only take an assignment, which would crash such a render
-        self.members = np.array([self.references.in_instanced_collection(self.found.get(name)) for name in keys.names], bool)
+        # these only take an assignment, which would crash such a render
+        self.keeps_linked = lasting or (in_render and bool(others))
+        self.members = np.array(
+            [self.references.in_instanced_collection(self.found.get(name)) for name in keys.names], bool
+        )
         self.removed = np.zeros(len(culled), bool)
         self.object_reason: dict[int, str] = {}  # name index: why the object cannot be hidden
         self.host_reason: dict[int, str] = {}  # name index: why the host cannot be masked or switched off
@@ -163,12 +178,14 @@ class _Planner:
                 hidden[int(n)] = ob
         gone = np.zeros(len(self.names), bool)
         gone[list(hidden)] = True
-        # Nodes may instance an object both alone and in a collection; only the collection minds hide_render, so nothing is claimed for such a source.
+        # Nodes may instance an object both alone and in a collection; only the collection minds hide_render, so nothing
+        # is claimed for such a source.
         sure = np.zeros(len(self.names), bool)
         sure[[n for n, ob in hidden.items() if not self.references.alone_in_nodes(ob)]] = True
         if hidden:
             kind, host, ob = self.columns.kind, self.columns.host, self.columns.object
-            own = np.where(kind == Kind.OBJECT, gone[ob], sure[ob])  # object -1 reads the last name: ruled out by by_source
+            # object -1 reads the last name: ruled out by by_source
+            own = np.where(kind == Kind.OBJECT, gone[ob], sure[ob])
             self.removed = (own & by_source(self.columns, self.members)) | (gone[host] & (host >= 0))
         return hidden
 
@@ -228,14 +245,17 @@ class _Planner:
                 yield ob, rows
 
     def particle_modifiers(self, hidden: dict[int, bpy.types.Object]) -> Iterator[tuple[bpy.types.Object, str]]:
-        """Emitters and particle modifiers to switch off: all of an emitter's instances are culled, the emitter itself stays."""
+        """Emitters and particle modifiers to switch off: all of an emitter's instances are culled, the emitter itself
+        stays."""
         for n, instances in self.hosts(Kind.PARTICLE):
             if n in hidden or not self.culled[instances].all():
                 continue
             ob = self.found.get(self.names[n])
             reason = self.modifier_obstacle(ob)
             if reason is None and ob is not None:
-                reason = FEEDS if self.references.particle_source(ob) else MORE if self.references.carries_more(ob) else None
+                reason = (
+                    FEEDS if self.references.particle_source(ob) else MORE if self.references.carries_more(ob) else None
+                )
             if ob is None or reason is not None:
                 self.host_reason[n] = reason or MISSING
                 continue
@@ -244,7 +264,9 @@ class _Planner:
                 if modifier.type == "PARTICLE_SYSTEM" and modifier.show_render:
                     yield ob, modifier.name
 
-    def faces(self, stay: Mapping[str, Mask], hidden: set[bpy.types.Object], whole: Counter[str]) -> Iterator[tuple[bpy.types.Object, Mask]]:
+    def faces(
+        self, stay: Mapping[str, Mask], hidden: set[bpy.types.Object], whole: Counter[str]
+    ) -> Iterator[tuple[bpy.types.Object, Mask]]:
         """Objects and faces for the face modifier; why others keep all of theirs goes into whole."""
         for name, mask in stay.items():
             ob = self.found.get(name)
@@ -252,20 +274,37 @@ class _Planner:
                 continue
             reason = self.modifier_obstacle(ob)
             if ob is not None and reason is None:
-                reason = SIMULATION if simulates(ob) else MORE if self.references.carries_more(ob) else SHAPES if self.references.shapes_others(ob) else None
+                reason = (
+                    SIMULATION
+                    if simulates(ob)
+                    else MORE
+                    if self.references.carries_more(ob)
+                    else SHAPES
+                    if self.references.shapes_others(ob)
+                    else None
+                )
             if ob is None or reason is not None:
                 whole[reason or MISSING] += 1
             else:
                 yield ob, ~mask
 
     def sources(self) -> list[bpy.types.Object]:
-        """Objects that something instances, and that no instance shows which stays: what they look like is of no use to anyone."""
+        """Objects that something instances, and that no instance shows which stays: what they look like is of no use to
+        anyone."""
         count = np.bincount(self.columns.object[self.columns.object >= 0], minlength=len(self.names))
-        gone = count == np.bincount(self.columns.object[self.removed & (self.columns.object >= 0)], minlength=len(self.names))
-        stays = {self.found[name] for name, left in zip(self.names, gone, strict=True) if not left and name in self.found}
+        gone = count == np.bincount(
+            self.columns.object[self.removed & (self.columns.object >= 0)], minlength=len(self.names)
+        )
+        stays = {
+            self.found[name] for name, left in zip(self.names, gone, strict=True) if not left and name in self.found
+        }
         shown = [self.found.get(self.names[n]) for n in np.flatnonzero(gone & (count > 0))]
         chosen = [ob for ob in shown if ob is not None and self.references.feeds(ob) and can_be_emptied(ob)]
-        chosen = [ob for ob in chosen if not simulates(ob) and not self.references.carries_more(ob) and self.any_change(ob) is None]
+        chosen = [
+            ob
+            for ob in chosen
+            if not simulates(ob) and not self.references.carries_more(ob) and self.any_change(ob) is None
+        ]
         free = unread(ob for ob in chosen if stays.isdisjoint(self.references.instanced_by(ob)))
         return [ob for ob in chosen if ob in free]
 
@@ -284,11 +323,17 @@ class _Planner:
     def kept(self) -> dict[str, int]:
         """Culled instances that stay, by reason."""
         rest = np.flatnonzero(self.culled & ~self.removed)
-        who = np.stack([self.columns.kind[rest].astype(np.int32), self.columns.host[rest], self.columns.object[rest]], axis=1)
+        who = np.stack(
+            [self.columns.kind[rest].astype(np.int32), self.columns.host[rest], self.columns.object[rest]], axis=1
+        )
         numbers, counts = np.unique(who, axis=0, return_counts=True)
         kept: Counter[str] = Counter()
         for (kind, host, ob), count in zip(numbers, counts, strict=True):
-            reasons = (self.host_reason.get(int(host)), self.object_reason.get(int(host)), self.object_reason.get(int(ob)))
+            reasons = (
+                self.host_reason.get(int(host)),
+                self.object_reason.get(int(host)),
+                self.object_reason.get(int(ob)),
+            )
             kept[next(filter(None, reasons), _BY_KIND[Kind(int(kind))])] += int(count)
         return dict(kept.most_common())
 

@@ -14,12 +14,21 @@ _SIMULATION = {"COLLISION", "FLUID", "DYNAMIC_PAINT"}
 # What a render shows and instances of geometry do not stand for
 _OTHER_TYPES = {"LIGHT", "LIGHT_PROBE", "VOLUME", "CURVES", "POINTCLOUD", "META", "GREASEPENCIL", "GPENCIL"}
 # What may name an object without looking at its faces: where it is, or that it is there
-_HARMLESS = (bpy.types.Scene, bpy.types.Collection, bpy.types.Camera, bpy.types.Material, bpy.types.World, bpy.types.Light, bpy.types.Action)
+_HARMLESS = (
+    bpy.types.Scene,
+    bpy.types.Collection,
+    bpy.types.Camera,
+    bpy.types.Material,
+    bpy.types.World,
+    bpy.types.Light,
+    bpy.types.Action,
+)
 _SWITCHES = {"hide_render", "show_render"}
 
 
 class References:
-    """The instancing relations of the open file at the time of construction; holds references to data-blocks, so it must not outlive an edit."""
+    """The instancing relations of the open file at the time of construction; holds references to data-blocks, so it
+    must not outlive an edit."""
 
     def __init__(self, others: Iterable[bpy.types.Scene] = ()) -> None:
         """others: scenes that are part of the picture, beside the one that was analysed."""
@@ -34,17 +43,24 @@ class References:
         self._of: dict[bpy.types.ID, list[bpy.types.ID]] | None = None
         self._used = _closure(roots, lambda x: children.get(x, ()))
         self._carriers = _closure([ob for ob in bpy.data.objects if _shows_more(ob)], lambda x: users.get(x, ()))
-        particle_collections = [p.instance_collection for p in bpy.data.particles if p.render_type == "COLLECTION" and p.instance_collection]
+        particle_collections = [
+            p.instance_collection for p in bpy.data.particles if p.render_type == "COLLECTION" and p.instance_collection
+        ]
         self._picked = {ob for c in particle_collections for ob in c.all_objects}
         self._alone_in_nodes = self._objects_of_nodes()
-        self._caches = _closure([ob for ob in bpy.data.objects if is_unbaked(ob)], lambda ob: () if ob.parent is None else (ob.parent,))
+        self._caches = _closure(
+            [ob for ob in bpy.data.objects if is_unbaked(ob)], lambda ob: () if ob.parent is None else (ob.parent,)
+        )
         self._drivers = _read_by_drivers()
         self._elsewhere = _shown_in(others, users)
-        self._particle_sources = {m.object for ob in bpy.data.objects for m in ob.modifiers if m.type == "PARTICLE_INSTANCE"}
+        self._particle_sources = {
+            m.object for ob in bpy.data.objects for m in ob.modifiers if m.type == "PARTICLE_INSTANCE"
+        }
 
     @cached_property
     def ids_are_read(self) -> bool:
-        """Whether a material reads the attribute `id` of instances, of which Blender knows nothing where a scatter has none."""
+        """Whether a material reads the attribute `id` of instances, of which Blender knows nothing where a scatter has
+        none."""
         trees = [m.node_tree for m in bpy.data.materials if m.node_tree is not None]
         trees += [tree for tree in bpy.data.node_groups if tree.bl_idname == "ShaderNodeTree"]
         attributes = (node for tree in trees for node in tree.nodes if node.bl_idname == "ShaderNodeAttribute")
@@ -54,7 +70,9 @@ class References:
         """Whether another object instances this one, or something that contains it."""
         if block in self._used:
             return True
-        return any(y in self._used or (isinstance(y, bpy.types.Object) and y != block) for y in self._users.get(block, ()))
+        return any(
+            y in self._used or (isinstance(y, bpy.types.Object) and y != block) for y in self._users.get(block, ())
+        )
 
     def instanced_by(self, ob: bpy.types.Object) -> set[bpy.types.ID]:
         """All that the object instances, at any depth, and itself."""
@@ -72,11 +90,13 @@ class References:
         return ob in self._carriers
 
     def picked_by_particles(self, ob: bpy.types.Object) -> bool:
-        """Whether a particle system picks from a collection with this object: hiding it would change what the other particles show."""
+        """Whether a particle system picks from a collection with this object: hiding it would change what the other
+        particles show."""
         return ob in self._picked
 
     def alone_in_nodes(self, ob: bpy.types.Object) -> bool:
-        """Whether geometry nodes may instance the object by itself, not within a whole collection; such instances do not mind its `hide_render`."""
+        """Whether geometry nodes may instance the object by itself, not within a whole collection; such instances do
+        not mind its `hide_render`."""
         return ob in self._alone_in_nodes
 
     def particle_source(self, ob: bpy.types.Object) -> bool:
@@ -84,7 +104,8 @@ class References:
         return ob in self._particle_sources
 
     def holds_cache(self, ob: bpy.types.Object) -> bool:
-        """Whether any change to the object, of which Blender is told, empties an unbaked cache: its own, or that of a child at any depth."""
+        """Whether any change to the object, of which Blender is told, empties an unbaked cache: its own, or that of a
+        child at any depth."""
         return ob in self._caches
 
     def drives(self, ob: bpy.types.Object) -> bool:
@@ -96,7 +117,8 @@ class References:
         return ob in self._elsewhere
 
     def shapes_others(self, ob: bpy.types.Object) -> bool:
-        """Whether something else may be made from the faces of an object: modifiers, constraints or nodes name it, or a collection with it."""
+        """Whether something else may be made from the faces of an object: modifiers, constraints or nodes name it, or a
+        collection with it."""
         for user in bpy.data.user_map(subset=(ob,))[ob]:
             if isinstance(user, bpy.types.Object):
                 if user != ob and ((user.parent == ob and user.parent_type.startswith("VERTEX")) or _names(user, ob)):
@@ -109,7 +131,9 @@ class References:
         separate = any(_separates_children(tree) for tree in bpy.data.node_groups)
         sources: set[bpy.types.ID] = set()
         for x, by in self._users.items():
-            by_nodes = any(isinstance(y, bpy.types.NodeTree) or (isinstance(y, bpy.types.Object) and _has_nodes(y)) for y in by)
+            by_nodes = any(
+                isinstance(y, bpy.types.NodeTree) or (isinstance(y, bpy.types.Object) and _has_nodes(y)) for y in by
+            )
             if by_nodes and isinstance(x, bpy.types.Object):
                 sources.add(x)
             elif by_nodes and separate and isinstance(x, bpy.types.Collection):
@@ -121,7 +145,9 @@ def _names(ob: bpy.types.Object, block: bpy.types.ID) -> bool:
     """Whether a modifier or a constraint of an object names a data-block."""
     things = (*ob.modifiers, *ob.constraints)
     own = (getattr(thing, p.identifier) for thing in things for p in thing.bl_rna.properties if p.type == "POINTER")
-    return any(value == block for value in own) or any(x == block for m in ob.modifiers if m.type == "NODES" for x in inputs_of(m))
+    return any(value == block for value in own) or any(
+        x == block for m in ob.modifiers if m.type == "NODES" for x in inputs_of(m)
+    )
 
 
 def takes_modifiers(ob: bpy.types.Object) -> bool:
@@ -141,10 +167,13 @@ def simulates(ob: bpy.types.Object) -> bool:
 
 
 def is_unbaked(ob: bpy.types.Object) -> bool:
-    """Whether an object has a simulation of its own whose results are in memory alone: any change to it empties that, or has it go on from something else."""
+    """Whether an object has a simulation of its own whose results are in memory alone: any change to it empties that,
+    or has it go on from something else."""
     caches = [m.point_cache for m in ob.modifiers if m.type in {"CLOTH", "SOFT_BODY"}]
     caches += [p.point_cache for p in ob.particle_systems if _moves_particles(p)]
-    return not all(cache.is_baked for cache in caches) or any(m.type == "NODES" and _simulates(m.node_group, set()) for m in ob.modifiers)
+    return not all(cache.is_baked for cache in caches) or any(
+        m.type == "NODES" and _simulates(m.node_group, set()) for m in ob.modifiers
+    )
 
 
 def _moves_particles(system: bpy.types.ParticleSystem) -> bool:
@@ -156,7 +185,10 @@ def _simulates(tree: bpy.types.NodeTree | None, seen: set[bpy.types.NodeTree]) -
     if tree is None or tree in seen:
         return False
     seen.add(tree)
-    return any(node.bl_idname == "GeometryNodeSimulationOutput" or _simulates(getattr(node, "node_tree", None), seen) for node in tree.nodes)
+    return any(
+        node.bl_idname == "GeometryNodeSimulationOutput" or _simulates(getattr(node, "node_tree", None), seen)
+        for node in tree.nodes
+    )
 
 
 def scenes_in_picture(scene: bpy.types.Scene) -> set[bpy.types.Scene]:
@@ -168,7 +200,9 @@ def scenes_in_picture(scene: bpy.types.Scene) -> set[bpy.types.Scene]:
             tree = front.pop()
             if tree is not None and tree not in trees:
                 trees.add(tree)
-                found.update(node.scene for node in tree.nodes if node.bl_idname == "CompositorNodeRLayers" and node.scene)
+                found.update(
+                    node.scene for node in tree.nodes if node.bl_idname == "CompositorNodeRLayers" and node.scene
+                )
                 front += [getattr(node, "node_tree", None) for node in tree.nodes]
     if scene.render.use_sequencer and scene.sequence_editor is not None:
         found.update(strip.scene for strip in scene.sequence_editor.strips_all if strip.type == "SCENE" and strip.scene)
@@ -181,7 +215,9 @@ def is_animated(ob: bpy.types.Object, path: str) -> bool:
     if data is None:
         return False
     actions = [data.action, *(strip.action for track in data.nla_tracks for strip in track.strips)]
-    return any(d.data_path == path for d in data.drivers) or any(_moves(action, path) for action in actions if action is not None)
+    return any(d.data_path == path for d in data.drivers) or any(
+        _moves(action, path) for action in actions if action is not None
+    )
 
 
 def _moves(action: bpy.types.Action, path: str) -> bool:
@@ -194,18 +230,23 @@ def _has_nodes(ob: bpy.types.Object) -> bool:
 
 
 def _separates_children(tree: bpy.types.NodeTree) -> bool:
-    sockets = (node.inputs["Separate Children"] for node in tree.nodes if node.bl_idname == "GeometryNodeCollectionInfo")
+    sockets = (
+        node.inputs["Separate Children"] for node in tree.nodes if node.bl_idname == "GeometryNodeCollectionInfo"
+    )
     return any(socket.is_linked or socket.default_value for socket in sockets)
 
 
 def _shows_more(ob: bpy.types.Object) -> bool:
-    return ob.type in _OTHER_TYPES or any(p.settings.render_type == "PATH" and p.settings.type == "HAIR" for p in ob.particle_systems)
+    return ob.type in _OTHER_TYPES or any(
+        p.settings.render_type == "PATH" and p.settings.type == "HAIR" for p in ob.particle_systems
+    )
 
 
 def _instancing_users() -> dict[bpy.types.ID, set[bpy.types.ID]]:
     """For each object, collection, node tree and particle setting: the ones of these through which it is instanced.
 
-    Objects use objects in many ways that instance nothing (parents, constraints, booleans), so of those only modifier inputs and duplication count.
+    Objects use objects in many ways that instance nothing (parents, constraints, booleans), so of those only modifier
+    inputs and duplication count.
     """
     users = bpy.data.user_map(key_types=_KINDS, value_types=_KINDS)
     for x, by in users.items():
@@ -226,7 +267,11 @@ def inputs_of(modifier: bpy.types.Modifier) -> Iterator[bpy.types.ID]:
     if modifier.node_group is None:
         return
     for item in modifier.node_group.interface.items_tree:
-        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.socket_type in {"NodeSocketObject", "NodeSocketCollection"}:
+        if (
+            item.item_type == "SOCKET"
+            and item.in_out == "INPUT"
+            and item.socket_type in {"NodeSocketObject", "NodeSocketCollection"}
+        ):
             if bpy.app.version >= (5, 2, 0):
                 value = getattr(getattr(modifier.properties.inputs, item.identifier, None), "value", None)
             else:
@@ -280,7 +325,8 @@ def _read_by_drivers() -> set[bpy.types.ID]:
 
 
 def _owners(target: bpy.types.DriverTarget, path: str) -> Iterator[bpy.types.ID]:
-    """The data-blocks that a path from a driver's target leads to; one without a data-block goes from the scene that is rendered, whichever that is."""
+    """The data-blocks that a path from a driver's target leads to; one without a data-block goes from the scene that is
+    rendered, whichever that is."""
     for start in bpy.data.scenes if target.id is None else (target.id,):
         try:
             thing = start.path_resolve(path) if path else start

@@ -1,7 +1,7 @@
 """Sources of instances that can be emptied: nothing but instancing uses what they look like.
 
-Geometry nodes may look at what they instance (realise it, take its bounds); a modifier, a driver or a constraint of another object may, too. What is not
-surely known only to hand a source on counts as looking at it.
+Geometry nodes may look at what they instance (realise it, take its bounds); a modifier, a driver or a constraint of
+another object may, too. What is not surely known only to hand a source on counts as looking at it.
 """
 
 from __future__ import annotations
@@ -13,12 +13,35 @@ import bpy
 from .references import animatable, inputs_of
 
 _HOLDERS = (bpy.types.Collection, bpy.types.Scene, bpy.types.WindowManager, bpy.types.Screen, bpy.types.WorkSpace)
-_INFOS = {"GeometryNodeObjectInfo": "Object", "GeometryNodeCollectionInfo": "Collection"}  # and the socket that says of what
+# and the socket that says of what
+_INFOS = {"GeometryNodeObjectInfo": "Object", "GeometryNodeCollectionInfo": "Collection"}
 _PASSES = {  # nodes that hand instances on, whatever these show; of those with a domain, in that of instances
-    *("NodeReroute", "GeometryNodeJoinGeometry", "GeometryNodeTransform", "GeometryNodeGeometryToInstance", "GeometryNodeSetID"),
-    *("GeometryNodeSwitch", "GeometryNodeIndexSwitch", "GeometryNodeMenuSwitch", "GeometryNodeSeparateComponents", "GeometryNodeRemoveAttribute"),
-    *("GeometryNodeTranslateInstances", "GeometryNodeRotateInstances", "GeometryNodeScaleInstances", "GeometryNodeSetInstanceTransform"),
-    *("GeometryNodeStoreNamedAttribute", "GeometryNodeDeleteGeometry", "GeometryNodeSeparateGeometry", "GeometryNodeSortElements"),
+    *(
+        "NodeReroute",
+        "GeometryNodeJoinGeometry",
+        "GeometryNodeTransform",
+        "GeometryNodeGeometryToInstance",
+        "GeometryNodeSetID",
+    ),
+    *(
+        "GeometryNodeSwitch",
+        "GeometryNodeIndexSwitch",
+        "GeometryNodeMenuSwitch",
+        "GeometryNodeSeparateComponents",
+        "GeometryNodeRemoveAttribute",
+    ),
+    *(
+        "GeometryNodeTranslateInstances",
+        "GeometryNodeRotateInstances",
+        "GeometryNodeScaleInstances",
+        "GeometryNodeSetInstanceTransform",
+    ),
+    *(
+        "GeometryNodeStoreNamedAttribute",
+        "GeometryNodeDeleteGeometry",
+        "GeometryNodeSeparateGeometry",
+        "GeometryNodeSortElements",
+    ),
     *("GeometryNodeDuplicateElements", "GeometryNodeCaptureAttribute"),
 }
 _ENDS = {"NodeGroupOutput", "GeometryNodeViewer", "GeometryNodeInstancesToPoints"}
@@ -43,7 +66,9 @@ def _users_of(objects: set[bpy.types.Object]) -> dict[bpy.types.ID, set[bpy.type
     while front:
         new = bpy.data.user_map(subset=front)
         found |= {block: new[block] for block in front if block in new}
-        front = {user for block in front for user in new.get(block, ()) if isinstance(user, bpy.types.Collection)} - found.keys()
+        front = {
+            user for block in front for user in new.get(block, ()) if isinstance(user, bpy.types.Collection)
+        } - found.keys()
     return found
 
 
@@ -52,11 +77,15 @@ def _blocks(ob: bpy.types.Object, users: dict[bpy.types.ID, set[bpy.types.ID]]) 
     found, front = set[bpy.types.ID](), {ob}
     while front:
         found |= front
-        front = {user for block in front for user in users.get(block, ()) if isinstance(user, bpy.types.Collection)} - found
+        front = {
+            user for block in front for user in users.get(block, ()) if isinstance(user, bpy.types.Collection)
+        } - found
     return found
 
 
-def _uses(ob: bpy.types.Object, users: dict[bpy.types.ID, set[bpy.types.ID]]) -> Iterator[tuple[bpy.types.ID, bpy.types.ID]]:
+def _uses(
+    ob: bpy.types.Object, users: dict[bpy.types.ID, set[bpy.types.ID]]
+) -> Iterator[tuple[bpy.types.ID, bpy.types.ID]]:
     return ((block, user) for block in _blocks(ob, users) for user in users.get(block, ()) if user != ob)
 
 
@@ -87,8 +116,14 @@ def _points_to(thing: bpy.types.bpy_struct, block: bpy.types.ID) -> bool:
 
 def _driver_targets() -> set[bpy.types.ID]:
     """What drivers read: of objects and of shape keys, node trees and data, wherever."""
-    curves = (curve for block in animatable() for curve in (block.animation_data.drivers if block.animation_data is not None else ()))
-    return {t.id for curve in curves for variable in curve.driver.variables for t in variable.targets if t.id is not None}
+    curves = (
+        curve
+        for block in animatable()
+        for curve in (block.animation_data.drivers if block.animation_data is not None else ())
+    )
+    return {
+        t.id for curve in curves for variable in curve.driver.variables for t in variable.targets if t.id is not None
+    }
 
 
 class _Trees:
@@ -106,9 +141,13 @@ class _Trees:
         nodes = ([m for m in ob.modifiers if m.type == "NODES" and m.node_group is not None] for ob in bpy.data.objects)
         self._stacks = [[(set(inputs_of(m)), m.node_group) for m in stack] for stack in nodes if stack]
 
-    def pass_on(self, ob: bpy.types.Object, blocks: set[bpy.types.ID], users: dict[bpy.types.ID, set[bpy.types.ID]]) -> bool:
+    def pass_on(
+        self, ob: bpy.types.Object, blocks: set[bpy.types.ID], users: dict[bpy.types.ID, set[bpy.types.ID]]
+    ) -> bool:
         """Whether all trees that may get an object, or one of the blocks with it, do no more than instance it."""
-        named = any(ob in inputs for stack in self._stacks for inputs, _ in stack) or any(isinstance(user, bpy.types.NodeTree) for user in users.get(ob, ()))
+        named = any(ob in inputs for stack in self._stacks for inputs, _ in stack) or any(
+            isinstance(user, bpy.types.NodeTree) for user in users.get(ob, ())
+        )
         key = frozenset(blocks if named else blocks - {ob})  # those of one collection fare alike
         if key not in self._known:
             self._known[key] = self._pass_on(set(key), users)
@@ -118,7 +157,12 @@ class _Trees:
         own = {user for block in blocks for user in users.get(block, ()) if isinstance(user, bpy.types.NodeTree)}
         given = {group for stack in self._stacks for inputs, group in stack if not blocks.isdisjoint(inputs)}
         trees = _reached(_reached(own | given, self._outer), self._inner)
-        entered = {group for stack in self._stacks for k, (_, group) in enumerate(stack) if any(g in trees for _, g in stack[:k])}
+        entered = {
+            group
+            for stack in self._stacks
+            for k, (_, group) in enumerate(stack)
+            if any(g in trees for _, g in stack[:k])
+        }
         front = trees | entered
         while front:
             tree = front.pop()
@@ -130,7 +174,9 @@ class _Trees:
         return True
 
 
-def _reached(start: set[bpy.types.NodeTree], step: dict[bpy.types.NodeTree, set[bpy.types.NodeTree]]) -> set[bpy.types.NodeTree]:
+def _reached(
+    start: set[bpy.types.NodeTree], step: dict[bpy.types.NodeTree, set[bpy.types.NodeTree]]
+) -> set[bpy.types.NodeTree]:
     found, front = set[bpy.types.NodeTree](), set(start)
     while front:
         found |= front
@@ -139,16 +185,23 @@ def _reached(start: set[bpy.types.NodeTree], step: dict[bpy.types.NodeTree, set[
 
 
 def _passes_into(tree: bpy.types.NodeTree, blocks: set[bpy.types.ID], entered: bool) -> set[bpy.types.NodeTree] | None:
-    """The trees within a tree that get instances of the blocks from it; None where it does more than hand these on. entered: its own input may have some."""
+    """The trees within a tree that get instances of the blocks from it; None where it does more than hand these on.
+    entered: its own input may have some."""
     front: list[bpy.types.NodeSocket] = []
     for node in tree.nodes:
         kind = node.bl_idname
         if kind == "GeometryNodeGroup" or (kind == "NodeGroupInput" and entered):
             front += _geometry(node)
-        elif kind in _INFOS and (node.inputs[_INFOS[kind]].is_linked or node.inputs[_INFOS[kind]].default_value in blocks):
+        elif kind in _INFOS and (
+            node.inputs[_INFOS[kind]].is_linked or node.inputs[_INFOS[kind]].default_value in blocks
+        ):
             front += _geometry(node)
             whole = node.inputs.get("As Instance")
-            if whole is not None and any(s.is_linked for s in _geometry(node)) and (whole.is_linked or not whole.default_value):
+            if (
+                whole is not None
+                and any(s.is_linked for s in _geometry(node))
+                and (whole.is_linked or not whole.default_value)
+            ):
                 return None
     seen, into = set[str](), set[bpy.types.NodeTree]()
     while front:

@@ -19,8 +19,17 @@ MODULES = ("places", "transforms", "meshes", "rays", "light", "counters", "camer
 
 def main(argv: Sequence[str]) -> int:
     """Write the table; exit status 1 where a case does not hold."""
-    parser = argparse.ArgumentParser(prog="accuracy", description="Run every hard case and write the table of docs/accuracy.md.")
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/accuracy.md"), metavar="FILE", help="page whose part after the mark is replaced")
+    parser = argparse.ArgumentParser(
+        prog="accuracy", description="Run every hard case and write the table of docs/accuracy.md."
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("docs/accuracy.md"),
+        metavar="FILE",
+        help="page whose part after the mark is replaced",
+    )
     parser.add_argument("--only", metavar="GROUP", help="print the rows of one group and write nothing")
     args = parser.parse_args(argv)
     for name in MODULES:
@@ -39,7 +48,10 @@ def main(argv: Sequence[str]) -> int:
     else:
         head = args.output.read_text().split(MARK)[0] if args.output.exists() else ""
         args.output.write_text(f"{head}{MARK}\n\nMeasured on {machine()}.\n\n{text}\n")
-    print("\n".join(f"does not hold: {line}" for line in broken) or f"all {sum(len(f) for _, f in results)} hold", file=sys.stderr)
+    print(
+        "\n".join(f"does not hold: {line}" for line in broken) or f"all {sum(len(f) for _, f in results)} hold",
+        file=sys.stderr,
+    )
     return 1 if broken else 0
 
 
@@ -53,7 +65,13 @@ def table(results: Iterable[tuple[Case, list[Figure]]]) -> list[str]:
     for case, figures in results:
         if case.group != group:
             group = case.group
-            lines += ["", f"## {group}", "", "| what is stressed | measure | figure | without the remedy | holds up to | |", "|---|---|---:|---:|---:|---|"]
+            lines += [
+                "",
+                f"## {group}",
+                "",
+                "| what is stressed | measure | figure | without the remedy | holds up to | |",
+                "|---|---|---:|---:|---:|---|",
+            ]
         for f in figures:
             before = "" if f.before is None else number(f.before)
             why = f.why if f.holds else f"**does not hold** {f.why}"

@@ -16,12 +16,14 @@ from lipac.lipac_addon.writeback import WritebackResult
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "api.md"
 FUNCTIONS = (lipac.analyze, lipac.apply, lipac.restore, lipac.render)
-CLASSES = (lipac.Budget, lipac.CullOptions, lipac.Scene, CullingResult, Decided, WritebackResult, Report)  # given and returned
+# given and returned
+CLASSES = (lipac.Budget, lipac.CullOptions, lipac.Scene, CullingResult, Decided, WritebackResult, Report)
 HEAD = """# `import lipac`
 
 <!-- written by scripts/dev/api_page.py -->
 
-A program that culls a scene in Blender and renders it: [examples/cull_and_render.py](../examples/cull_and_render.py). Types are in the package (`py.typed`).
+A program that culls a scene in Blender and renders it:
+[examples/cull_and_render.py](../examples/cull_and_render.py). Types are in the package (`py.typed`).
 """
 
 
@@ -38,7 +40,9 @@ def entry(thing: Any, name: str) -> str:
     shown = f"lipac.{thing.__name__}" if thing.__name__ in home else name
     text = inspect.cleandoc(thing.__doc__ or "")
     text = re.sub(r"(?m)^( +)(\w[\w, ]*):( |$)", r"\1- `\2`:\3", text)  # items of Parameters
-    text = text.replace("\nParameters:\n", "\nParameters:\n\n").replace("\n    - ", "\n- ").replace("\n        ", "\n  ")
+    text = (
+        text.replace("\nParameters:\n", "\nParameters:\n\n").replace("\n    - ", "\n- ").replace("\n        ", "\n  ")
+    )
     return f"### `{shown}`\n\n```python\n{signature(thing)}\n```\n\n{text}"
 
 
@@ -46,7 +50,9 @@ def signature(thing: Any) -> str:
     """The call of a function or class, a parameter a line."""
     found = inspect.signature(thing)
     lines = [f"    {parameter}," for parameter in map(str, found.parameters.values())]
-    lines = [re.sub(r": '([^']*)'", r": \1", re.sub(r"<function (\w+)( at 0x[0-9a-f]+)?>", r"\1", line)) for line in lines]
+    lines = [
+        re.sub(r": '([^']*)'", r": \1", re.sub(r"<function (\w+)( at 0x[0-9a-f]+)?>", r"\1", line)) for line in lines
+    ]
     keyword = next((k for k, p in enumerate(found.parameters.values()) if p.kind is p.KEYWORD_ONLY), None)
     if keyword is not None:
         lines.insert(keyword, "    *,")

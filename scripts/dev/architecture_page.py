@@ -23,18 +23,25 @@ def main() -> int:
 def page(text: str) -> str:
     """The page's text with each part between `<!-- NAME -->` and `<!-- end -->` written anew."""
     parts = {"core": diagram("core"), "lipac_addon": diagram("lipac_addon"), "rooms": rooms()}
-    return re.sub(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", lambda m: f"{m[1]}{parts[m[2]]}\n{m[3]}", text, flags=re.DOTALL)
+    return re.sub(
+        r"(<!-- (\w+) -->\n).*?(<!-- end -->)", lambda m: f"{m[1]}{parts[m[2]]}\n{m[3]}", text, flags=re.DOTALL
+    )
 
 
 def diagram(folder: str) -> str:
-    """A Mermaid graph of the rooms of a folder: an arrow from each to those that it imports from, less those that follow from others."""
+    """A Mermaid graph of the rooms of a folder: an arrow from each to those that it imports from, less those that
+    follow from others."""
     uses = room_imports(folder)
     lines = ["```mermaid", "graph TD"]
     depth: dict[str, int] = {}
     for room in TopologicalSorter(uses).static_order():
         depth[room] = 1 + max((depth[used] for used in uses[room]), default=0)
     for room in sorted(uses, key=lambda room: (-depth[room], room)):
-        lines += [f"    {room} --> {used}" for used in sorted(uses[room]) if not any(used in reached(uses, other) for other in uses[room])]
+        lines += [
+            f"    {room} --> {used}"
+            for used in sorted(uses[room])
+            if not any(used in reached(uses, other) for other in uses[room])
+        ]
     return "\n".join([*lines, "```"])
 
 
@@ -50,7 +57,8 @@ def reached(uses: dict[str, set[str]], room: str) -> set[str]:
 
 
 def room_imports(folder: str) -> dict[str, set[str]]:
-    """The rooms of a folder, its packages and its own modules, and which of the others each imports from, in functions too."""
+    """The rooms of a folder, its packages and its own modules, and which of the others each imports from, in functions
+    too."""
     uses: dict[str, set[str]] = defaultdict(set)
     for path in sorted((ROOT / folder).rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -59,7 +67,11 @@ def room_imports(folder: str) -> dict[str, set[str]]:
         uses[parts[1]]
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.level:
-                target = [*parts[: len(parts) - node.level], *(node.module or "").split("."), *(alias.name for alias in node.names[:1])]
+                target = [
+                    *parts[: len(parts) - node.level],
+                    *(node.module or "").split("."),
+                    *(alias.name for alias in node.names[:1]),
+                ]
                 target = [part for part in target if part]
                 if target[0] == folder and target[1] != parts[1]:
                     uses[parts[1]].add(target[1])

@@ -1,7 +1,8 @@
-"""`python -m lipac.scripts.dev.fuzz`: random scenes by seed, and what failed, into a JSON file. From a checkout, for developers.
+"""`python -m lipac.scripts.dev.fuzz`: random scenes by seed, and what failed, into a JSON file. From a checkout, for
+developers.
 
-Of kind "render", files with what people's files have in them are rendered; of kind "faults", work ends at a random moment: both by child processes, which may
-crash and hang; a page, FILE.md, is written as well.
+Of kind "render", files with what people's files have in them are rendered; of kind "faults", work ends at a random
+moment: both by child processes, which may crash and hang; a page, FILE.md, is written as well.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..children import Child, serve
+from ..command.children import Child, serve
 
 EVERY = 50  # scenes from one writing of the record to the next
 COMMAND = (sys.executable, "-m", "lipac.scripts.dev.fuzz", "child")  # of a child process
@@ -27,13 +28,24 @@ RENEWED = 25  # scenes after which a process is replaced by a new one
 
 def main(argv: Sequence[str]) -> int:
     """Write the record; exit status 1 where a scene failed."""
-    parser = argparse.ArgumentParser(prog="fuzz", description="Check random scenes by seed; the record keeps the seeds that failed.")
-    kinds = "scenes of arrays, scenes built in Blender, damaged files, files of many features through lipac render, work that ends at a random moment"
+    parser = argparse.ArgumentParser(
+        prog="fuzz", description="Check random scenes by seed; the record keeps the seeds that failed."
+    )
+    kinds = (
+        "scenes of arrays, scenes built in Blender, damaged files, files of many features through lipac render, "
+        "work that ends at a random moment"
+    )
     parser.add_argument("kind", choices=("core", "blender", "files", "render", "faults"), help=kinds)
     parser.add_argument("--scenes", type=int, default=1000, metavar="N")
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="record, continued where it exists")
-    parser.add_argument("--again", action="store_true", help="kinds render, faults: repeat what of the record did not hold, and keep what it was before")
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE", help="record, continued where it exists"
+    )
+    parser.add_argument(
+        "--again",
+        action="store_true",
+        help="kinds render, faults: repeat what of the record did not hold, and keep what it was before",
+    )
     args = parser.parse_args(argv)
     record: dict[str, Any] = {"kind": args.kind, "first": args.first, "done": 0, "failed": []}
     if args.output.exists():
@@ -47,7 +59,9 @@ def main(argv: Sequence[str]) -> int:
                 if found is not None:
                     record.setdefault("scenes", []).append(found)
                 if found is not None and "failed" in found:
-                    record["failed"].append({"seed": seed, "error": found["failed"], "features": found.get("features", [])})
+                    record["failed"].append(
+                        {"seed": seed, "error": found["failed"], "features": found.get("features", [])}
+                    )
                     print(record["failed"][-1], file=sys.stderr, flush=True)
             except Exception as error:
                 where = traceback.extract_tb(error.__traceback__)[-1].name
@@ -67,7 +81,9 @@ def repeat(record: dict[str, Any], check: Callable[[int], dict[str, Any] | None]
         if "failed" in scene or scene["verdict"] != "held":
             record["scenes"][k] = {**(check(scene["seed"]) or {}), "before": scene.get("before", _outcome(scene))}
     again = [scene for scene in record["scenes"] if "failed" in scene]
-    record["failed"] = [{"seed": scene["seed"], "error": scene["failed"], "features": scene["features"]} for scene in again]
+    record["failed"] = [
+        {"seed": scene["seed"], "error": scene["failed"], "features": scene["features"]} for scene in again
+    ]
 
 
 def _outcome(scene: dict[str, Any]) -> str:
@@ -132,7 +148,8 @@ def in_children(kind: str, crops: int = 12, every: int = 1) -> Iterator[Callable
 
 
 def in_child(kind: str, crops: int, every: int) -> None:
-    """What a child process does. Of kind "render": every so many seeds it renders, verified in so many crops; the others it analyses alone."""
+    """What a child process does. Of kind "render": every so many seeds it renders, verified in so many crops; the
+    others it analyses alone."""
 
     def prepare() -> Callable[[int], dict[str, Any]]:
         from ...core.jit import kernel_cache
@@ -150,20 +167,35 @@ def in_child(kind: str, crops: int, every: int) -> None:
 
 
 def page(record: dict[str, Any]) -> str:
-    """Markdown of a record of kinds "render" and "faults": what came of them, by what is in them; all that is not as it should be; what was told."""
+    """Markdown of a record of kinds "render" and "faults": what came of them, by what is in them; all that is not as it
+    should be; what was told."""
     scenes = record["scenes"]
     verdicts = ("held", "told", "refused", "failed")
-    lines = [f"Seeds {record['first']:,} to {record['first'] + record['done'] - 1:,}, {seconds(scenes):.1f} s each (median).", ""]
+    lines = [
+        f"Seeds {record['first']:,} to {record['first'] + record['done'] - 1:,}, {seconds(scenes):.1f} s each "
+        "(median).",
+        "",
+    ]
     lines += ["| what | runs | " + " | ".join(verdicts) + " |", "|---|" + (1 + len(verdicts)) * "---:|"]
     for name in ("all", *sorted({name for scene in scenes for name in scene["features"]})):
         having = [scene for scene in scenes if name == "all" or name in scene["features"]]
         counted = Counter("failed" if "failed" in scene else scene["verdict"] for scene in having)
-        lines.append(f"| {name.replace('_', ' ')} | {len(having)} | " + " | ".join(str(counted[verdict]) for verdict in verdicts) + " |")
+        lines.append(
+            f"| {name.replace('_', ' ')} | {len(having)} | "
+            + " | ".join(str(counted[verdict]) for verdict in verdicts)
+            + " |"
+        )
     for title, chosen in (
         ("Failed", [(s, _outcome(s)) for s in scenes if "failed" in s]),
         ("Refused", [(s, _outcome(s)) for s in scenes if "failed" not in s and s["verdict"] == "refused"]),
-        ("Told: the budget is broken, and the status says so", [(s, _outcome(s)) for s in scenes if "failed" not in s and s["verdict"] == "told"]),
-        ("Repeated, after what was found was mended; before it was", [(s, s["before"]) for s in scenes if "before" in s]),
+        (
+            "Told: the budget is broken, and the status says so",
+            [(s, _outcome(s)) for s in scenes if "failed" not in s and s["verdict"] == "told"],
+        ),
+        (
+            "Repeated, after what was found was mended; before it was",
+            [(s, s["before"]) for s in scenes if "before" in s],
+        ),
     ):
         if chosen:
             lines += ["", f"{title}:", "", *(f"- {s['seed']} ({', '.join(s['features'])}): {why}" for s, why in chosen)]
@@ -173,7 +205,9 @@ def page(record: dict[str, Any]) -> str:
 def _told(scene: dict[str, Any]) -> str:
     """By how much, and what was said to be approximated."""
     approximated = [line.removeprefix("approximated: ") for line in scene["said"] if line.startswith("approximated: ")]
-    return f"{100 * scene['mean']:.2g} / {100 * scene['worst']:.2g} %; " + ("; ".join(approximated) or "nothing approximated")
+    return f"{100 * scene['mean']:.2g} / {100 * scene['worst']:.2g} %; " + (
+        "; ".join(approximated) or "nothing approximated"
+    )
 
 
 def seconds(scenes: Sequence[dict[str, Any]]) -> float:

@@ -1,4 +1,5 @@
-"""The pictures of docs/user-guide.md, from the demo city: `python -m lipac.scripts.dev.guide_pictures -o docs/pictures`.
+"""The pictures of docs/user-guide.md, from the demo city: `python -m lipac.scripts.dev.guide_pictures -o
+docs/pictures`.
 
 All by the extension's operators, as an artist would. Needs Blender 5.2 and graphics; software ones will do.
 """
@@ -103,7 +104,12 @@ def difference_picture() -> np.ndarray:
 
 
 def overlay_picture(
-    result: FrameResult, width: int, height: int, kinds: tuple[str, ...] = ("active", "pending", "regions"), heat_map: bool = False, opacity: float = 0.8
+    result: FrameResult,
+    width: int,
+    height: int,
+    kinds: tuple[str, ...] = ("active", "pending", "regions"),
+    heat_map: bool = False,
+    opacity: float = 0.8,
 ) -> np.ndarray:
     """The solid viewport from outside with boxes and legend: (height, width, 3) uint8, rows bottom up."""
     import bpy
@@ -118,14 +124,18 @@ def overlay_picture(
     area = next(a for window in bpy.context.window_manager.windows for a in window.screen.areas if a.type == "VIEW_3D")
     space, region = area.spaces.active, next(r for r in area.regions if r.type == "WINDOW")
     space.shading.type, space.overlay.show_overlays, space.clip_end = "SOLID", False, 3000.0
-    offscreen.draw_view3d(bpy.context.scene, bpy.context.view_layer, space, region, view, projection, do_color_management=True)
+    offscreen.draw_view3d(
+        bpy.context.scene, bpy.context.view_layer, space, region, view, projection, do_color_management=True
+    )
     with offscreen.bind():
         frame = gpu.state.active_framebuffer_get()
         frame.clear(depth=1.0)
         overlay.draw_boxes(result, kinds, opacity, projection @ view, in_front=True, heat_map=heat_map)
         with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
             gpu.matrix.load_matrix(Matrix.Identity(4))
-            gpu.matrix.load_projection_matrix(Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, -1, 0), (0, 0, 0, 1))))
+            gpu.matrix.load_projection_matrix(
+                Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, -1, 0), (0, 0, 0, 1)))
+            )
             overlay.draw_legend(result, kinds, 1.2 * width / 960, heat_map)
         pixels = np.array(frame.read_color(0, 0, width, height, 4, 0, "UBYTE").to_list(), np.uint8)
     offscreen.free()

@@ -51,7 +51,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     say("done")
     print(compare.table(full, culled, error))
-    print(f"\n{out}: full.png, culled.png, flip.png (their difference), tlas.png (what is active, from outside), report.json")
+    print(
+        f"\n{out}: full.png, culled.png, flip.png (their difference), tlas.png (what is active, from outside), "
+        "report.json"
+    )
     return 0
 
 

@@ -27,7 +27,10 @@ PLATFORMS = {
     "macos-arm64": ("macosx_13_0_arm64", "macosx_12_0_arm64", "macosx_11_0_arm64"),
 }
 PAGES = ("user-guide", "write-back", "live")  # of docs/: the manual of the panel's controls
-STYLE = "body{max-width:60em;margin:2em auto;font:16px/1.5 sans-serif}img{max-width:100%}td,th{padding:.2em .6em;text-align:left;border:1px solid #ccc}"
+STYLE = (
+    "body{max-width:60em;margin:2em auto;font:16px/1.5 sans-serif}img{max-width:100%}td,th{padding:.2em "
+    ".6em;text-align:left;border:1px solid #ccc}"
+)
 PACKAGES = ("core", "lipac_addon", "scripts")
 SUFFIXES = {".py", ".npz", ".c", ".sh", ".js"}
 
@@ -36,8 +39,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Build and check the zips; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "dist")
-    parser.add_argument("--platform", choices=PLATFORMS, action="append", help="only this one; may be repeated (default: all)")
-    parser.add_argument("--python", choices=PYTHONS, action="append", help="wheels for this Python only; may be repeated (default: all)")
+    parser.add_argument(
+        "--platform", choices=PLATFORMS, action="append", help="only this one; may be repeated (default: all)"
+    )
+    parser.add_argument(
+        "--python", choices=PYTHONS, action="append", help="wheels for this Python only; may be repeated (default: all)"
+    )
     parser.add_argument("--wheels", type=Path, help="folder to keep downloaded wheels in (default: OUTPUT/wheels)")
     args = parser.parse_args(argv)
     args.output.mkdir(parents=True, exist_ok=True)
@@ -51,7 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def download(platform: str, pythons: Iterable[str], folder: Path) -> list[Path]:
-    """Wheels of LIBRARIES for a platform at the versions of the lock, fetched by pip where they are not there. Sorted paths."""
+    """Wheels of LIBRARIES for a platform at the versions of the lock, fetched by pip where they are not there. Sorted
+    paths."""
     found: list[Path] = []
     for python in pythons:
         place = folder / platform / f"cp{python}"
@@ -59,8 +67,25 @@ def download(platform: str, pythons: Iterable[str], folder: Path) -> list[Path]:
         wanted = {name: locked[name] for name in LIBRARIES}
         if not all(any(place.glob(f"{name}-{version}-*.whl")) for name, version in wanted.items()):
             names = [f"--platform={name}" for name in PLATFORMS[platform]]
-            only = ["--no-deps", "--only-binary=:all:", f"--python-version={python}", "--implementation=cp", f"--abi=cp{python}"]
-            command = [sys.executable, "-m", "pip", "download", "-q", "--disable-pip-version-check", *only, *names, "-d", str(place)]
+            only = [
+                "--no-deps",
+                "--only-binary=:all:",
+                f"--python-version={python}",
+                "--implementation=cp",
+                f"--abi=cp{python}",
+            ]
+            command = [
+                sys.executable,
+                "-m",
+                "pip",
+                "download",
+                "-q",
+                "--disable-pip-version-check",
+                *only,
+                *names,
+                "-d",
+                str(place),
+            ]
             subprocess.run([*command, *(f"{name}=={version}" for name, version in wanted.items())], check=True)
         found += [next(place.glob(f"{name}-{version}-*.whl")) for name, version in wanted.items()]
     return sorted(found)
@@ -68,13 +93,19 @@ def download(platform: str, pythons: Iterable[str], folder: Path) -> list[Path]:
 
 def sources() -> list[Path]:
     """Files of the extension, relative to the root."""
-    inside = [path for name in PACKAGES for path in (ROOT / name).rglob("*") if path.suffix in SUFFIXES and "__pycache__" not in path.parts]
+    inside = [
+        path
+        for name in PACKAGES
+        for path in (ROOT / name).rglob("*")
+        if path.suffix in SUFFIXES and "__pycache__" not in path.parts
+    ]
     outside = [ROOT / name for name in ("__init__.py", "version.py", "py.typed", "LICENSE", "README.md")]
     return sorted(path.relative_to(ROOT) for path in (*inside, *outside))
 
 
 def build(platform: str, wheels: Sequence[Path], output: Path) -> Path:
-    """Put sources, wheels and their manifest together and have Blender's own tool zip and validate them. Returns the zip."""
+    """Put sources, wheels and their manifest together and have Blender's own tool zip and validate them. Returns the
+    zip."""
     with tempfile.TemporaryDirectory() as folder:
         stage = Path(folder)
         for path in sources():
@@ -100,7 +131,9 @@ def write_docs(folder: Path) -> None:
     for name in PAGES:
         body = markdown((ROOT / "docs" / f"{name}.md").read_text(), extensions=["tables", "toc"])
         body = re.sub(r'href="([\w-]+)\.md', r'href="\1.html', body)
-        (folder / f"{name}.html").write_text(f"<!doctype html><meta charset=utf-8><title>LiPaC</title><style>{STYLE}</style>\n{body}\n")
+        (folder / f"{name}.html").write_text(
+            f"<!doctype html><meta charset=utf-8><title>LiPaC</title><style>{STYLE}</style>\n{body}\n"
+        )
         for picture in re.findall(r'src="pictures/([^"]+)"', body):
             shutil.copyfile(ROOT / "docs" / "pictures" / picture, folder / "pictures" / picture)
 
@@ -114,12 +147,16 @@ def manifest(platform: str, wheels: Iterable[str]) -> str:
 
 def blender(*arguments: str) -> None:
     """Run Blender's command line for extensions. Raises CalledProcessError where it finds an error."""
-    code = "import sys; from bl_pkg.bl_extension_cli import cli_extension_handler; sys.exit(cli_extension_handler(sys.argv[1:]))"
+    code = (
+        "import sys; from bl_pkg.bl_extension_cli import cli_extension_handler; "
+        "sys.exit(cli_extension_handler(sys.argv[1:]))"
+    )
     subprocess.run([sys.executable, "-c", "import bpy; " + code, *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
 def check(path: Path, platform: str, pythons: Iterable[str]) -> None:
-    """Raise SystemExit where a zip lacks a library for a Python of the platform, or holds what does not belong into it."""
+    """Raise SystemExit where a zip lacks a library for a Python of the platform, or holds what does not belong into
+    it."""
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
         stated = tomllib.loads(archive.read(MANIFEST).decode())
@@ -128,12 +165,20 @@ def check(path: Path, platform: str, pythons: Iterable[str]) -> None:
     problems = [f"{name} is not in the manifest, or not in the zip" for name in wheels ^ listed]
     for python in pythons:
         for library in LIBRARIES:
-            fitting = [w for w in wheels if w.startswith(f"{library}-") and f"-cp{python}-" in w and any(p in w for p in PLATFORMS[platform])]
+            fitting = [
+                w
+                for w in wheels
+                if w.startswith(f"{library}-") and f"-cp{python}-" in w and any(p in w for p in PLATFORMS[platform])
+            ]
             if len(fitting) != 1:
                 problems.append(f"{len(fitting)} wheels of {library} for Python {python} on {platform}")
     problems += [f"{path} is missing" for path in map(str, sources()) if path not in names]
     problems += [f"docs/{name}.html is missing" for name in PAGES if f"docs/{name}.html" not in names]
-    problems += [f"{name} does not belong here" for name in names if "__pycache__" in name or name.startswith(("tests/", "docs/results", "."))]
+    problems += [
+        f"{name} does not belong here"
+        for name in names
+        if "__pycache__" in name or name.startswith(("tests/", "docs/results", "."))
+    ]
     if stated["platforms"] != [platform]:
         problems.append(f"platforms are {stated['platforms']}")
     if problems:

@@ -1,4 +1,5 @@
-"""`lipac shot STEP DIR`: a step of a shot that `lipac farm` has written. Also `blender -b -P scripts/farm/step.py -- STEP DIR`."""
+"""`lipac shot STEP DIR`: a step of a shot that `lipac farm` has written. Also `blender -b -P scripts/farm/step.py --
+STEP DIR`."""
 
 from __future__ import annotations
 
@@ -28,18 +29,37 @@ def main(argv: Sequence[str]) -> int:
     from pathlib import Path
 
     from ...core.warmup import load_ahead, telling
-    from ..arguments import frame_range, thread_count
-    from ..options import Parser, ctrl_c, progress_of
+    from ..command.arguments import frame_range, thread_count
+    from ..command.interrupt import ctrl_c
+    from ..command.options import Parser
+    from ..command.streams import progress_of
 
     steps = "; ".join(f"{name}: {what}" for name, what in STEPS.items())
-    parser = Parser(prog="lipac shot", description=f"Do a step of a shot. {steps}. What is there already, made from the same, is left alone.")
+    parser = Parser(
+        prog="lipac shot",
+        description=f"Do a step of a shot. {steps}. What is there already, made from the same, is left alone.",
+    )
     parser.add_argument("step", choices=STEPS, metavar="STEP", help=", ".join(STEPS))
     parser.add_argument("folder", type=Path, metavar="DIR", help="the shot's folder")
     parser.add_argument("--frames", type=frame_range, metavar="A-B", help="analyze, render: these (default: all)")
-    parser.add_argument("--check", type=frame_range, metavar="A-B", help="verify: these of the sample, by number from 1 (default: all)")
-    parser.add_argument("--scene", type=Path, metavar="FILE.blend", help="the scene, where this machine sees it elsewhere than the job says")
-    parser.add_argument("--blender", default="", metavar="PATH", help="render, verify: a Blender, or a Python with the module bpy (default: this one)")
-    parser.add_argument("--threads", type=thread_count, default=0, metavar="N", help="of the analysis; 0: all cores (default)")
+    parser.add_argument(
+        "--check", type=frame_range, metavar="A-B", help="verify: these of the sample, by number from 1 (default: all)"
+    )
+    parser.add_argument(
+        "--scene",
+        type=Path,
+        metavar="FILE.blend",
+        help="the scene, where this machine sees it elsewhere than the job says",
+    )
+    parser.add_argument(
+        "--blender",
+        default="",
+        metavar="PATH",
+        help="render, verify: a Blender, or a Python with the module bpy (default: this one)",
+    )
+    parser.add_argument(
+        "--threads", type=thread_count, default=0, metavar="N", help="of the analysis; 0: all cores (default)"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     args = parser.parse_args(argv)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # a farm ends tasks so; Blenders of their own end, too
@@ -64,15 +84,21 @@ def done(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> int
     from ...lipac_addon.farm import analyse, certificate, children, unite, verify
     from ...lipac_addon.farm.jobs import pack
     from ...lipac_addon.farm.layout import FarmShot
-    from ..streams import say
+    from ..command.streams import say
 
     shot = FarmShot.load(args.folder, args.scene)
     frames, checks = args.frames or shot.frames, args.check or tuple(range(1, shot.checks + 1))
     if not set(frames) <= set(shot.frames) or not set(checks) <= set(range(1, shot.checks + 1)):
-        raise InputError(f"{shot.folder} is of frames {shot.first}-{shot.last}, {shot.checks} of which are verified: name a part of these")
+        raise InputError(
+            f"{shot.folder} is of frames {shot.first}-{shot.last}, {shot.checks} of which are verified: name a part of "
+            "these"
+        )
     line, status = "", 0
     if args.step == "analyze":
-        line = f"{analyse.analyse(shot, frames, args.threads, progress, cancelled)} of {len(frames)} frames analysed, the others were there"
+        line = (
+            f"{analyse.analyse(shot, frames, args.threads, progress, cancelled)} of {len(frames)} frames "
+            "analysed, the others were there"
+        )
     elif args.step == "unite":
         found = unite.unite(shot, progress, cancelled)
         line = f"{found['active']:,} of {found['instances']:,} instances stay"
@@ -82,7 +108,16 @@ def done(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> int
     elif args.step == "verify":
         results = []
         for k, number in enumerate(checks):
-            results.append(verify.verify(shot, number, args.blender, args.threads, part(progress, k / len(checks), (k + 1) / len(checks)), cancelled))
+            results.append(
+                verify.verify(
+                    shot,
+                    number,
+                    args.blender,
+                    args.threads,
+                    part(progress, k / len(checks), (k + 1) / len(checks)),
+                    cancelled,
+                )
+            )
         line = "\n".join(certificate.verdict(found) for found in results)
     elif args.step == "pack":
         found = pack.pack(shot, args.blender)

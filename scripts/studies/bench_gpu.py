@@ -1,6 +1,8 @@
-"""Benchmark on graphics cards: scenes rendered full, culled (the analysis included) and from a copy that was culled before, each in a process of its own.
+"""Benchmark on graphics cards: scenes rendered full, culled (the analysis included) and from a copy that was culled
+before, each in a process of its own.
 
-Needs no network. What is measured is kept in DIR/gpu.json, so that a call that stops in time is followed by another that goes on; DIR/gpu.md has the tables.
+Needs no network. What is measured is kept in DIR/gpu.json, so that a call that stops in time is followed by another
+that goes on; DIR/gpu.md has the tables.
 """
 
 from __future__ import annotations
@@ -34,8 +36,9 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Plan:
-    """What to measure. scenes: names with what `lipac demo --instances` gets; devices: of `--device`, or eevee; ways: of WAYS; size: width and height; limit:
-    seconds of a measurement, making its scene included; within: of all, after which none begins; again: also what was measured before."""
+    """What to measure. scenes: names with what `lipac demo --instances` gets; devices: of `--device`, or eevee; ways:
+    of WAYS; size: width and height; limit: seconds of a measurement, making its scene included; within: of all, after
+    which none begins; again: also what was measured before."""
 
     scenes: dict[str, int] = field(default_factory=lambda: dict(SCENES))
     devices: tuple[str, ...] = DEVICES
@@ -65,7 +68,9 @@ def run(folder: Path, plan: Plan) -> str:
             data["measured"].setdefault(name, {"not_run": OUT_OF_TIME})
         else:
             print(f"measuring {name}", file=sys.stderr, flush=True)
-            data["measured"][name] = _measure(folder, plan, (scene, device, samples, way), data["prepared"], min(left, plan.limit))
+            data["measured"][name] = _measure(
+                folder, plan, (scene, device, samples, way), data["prepared"], min(left, plan.limit)
+            )
         _save(file, data)
     _save(file, data)
     text = page(data)
@@ -88,13 +93,43 @@ def _measure(folder: Path, plan: Plan, case: tuple[str, str, int, str], prepared
     warm = folder / "gpu-scenes" / f"mirror-city-{SMALL}.blend"
     how = [*(["--engine", "eevee"] if device == "eevee" else ["--device", device])]
     steps: list[tuple[str, Path | None, list[str]]] = [
-        (f"scene {file.stem}", file, ["demo", scene, "-o", str(file), "--instances", str(plan.scenes[scene]), "--quiet"]),
+        (
+            f"scene {file.stem}",
+            file,
+            ["demo", scene, "-o", str(file), "--instances", str(plan.scenes[scene]), "--quiet"],
+        ),
         (f"scene {warm.stem}", warm, ["demo", "mirror-city", "-o", str(warm), "--instances", str(SMALL), "--quiet"]),
-        (f"warm {device}", None, ["render", str(warm), "-o", str(folder / "gpu-warm"), *how, "--samples", "1", "--resolution", "64x36", "--quiet"]),
+        (
+            f"warm {device}",
+            None,
+            [
+                "render",
+                str(warm),
+                "-o",
+                str(folder / "gpu-warm"),
+                *how,
+                "--samples",
+                "1",
+                "--resolution",
+                "64x36",
+                "--quiet",
+            ],
+        ),
     ]
     picture = ["--resolution", "{}x{}".format(*plan.size)]
     if way == BAKED:
-        analysis = ["analyze", str(file), "-o", str(folder / "gpu-analysis" / file.stem), "--bake", "shot", "--save", str(baked), *picture, "--quiet"]
+        analysis = [
+            "analyze",
+            str(file),
+            "-o",
+            str(folder / "gpu-analysis" / file.stem),
+            "--bake",
+            "shot",
+            "--save",
+            str(baked),
+            *picture,
+            "--quiet",
+        ]
         steps.append((f"culled {file.stem} {picture[1]}", baked, analysis))
     for name, made, arguments in steps:
         if name in prepared and (made is None or made.exists()):
@@ -108,14 +143,31 @@ def _measure(folder: Path, plan: Plan, case: tuple[str, str, int, str], prepared
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
     if way == CULLED:
-        done = _lipac(["render", str(file), "-o", str(out), *how, *picture, "--samples", str(samples), "--quiet"], end - time.monotonic())
+        done = _lipac(
+            ["render", str(file), "-o", str(out), *how, *picture, "--samples", str(samples), "--quiet"],
+            end - time.monotonic(),
+        )
     else:
-        done = _child(["-m", __name__, str(baked if way == BAKED else file), device, str(samples), *map(str, plan.size), str(out)], end - time.monotonic())
+        done = _child(
+            [
+                "-m",
+                __name__,
+                str(baked if way == BAKED else file),
+                device,
+                str(samples),
+                *map(str, plan.size),
+                str(out),
+            ],
+            end - time.monotonic(),
+        )
     if "not_run" in done:
         return done
     report = json.loads((out / "report.json").read_text())
     frame = report["frames"][0]
-    kept = {name: frame.get(name) for name in ("render_s", "first_sample_s", "device", "device_bytes", "instances", "active")}
+    kept = {
+        name: frame.get(name)
+        for name in ("render_s", "first_sample_s", "device", "device_bytes", "instances", "active")
+    }
     return done | kept | {"host_bytes": report["totals"]["peak_bytes"] or None}
 
 
@@ -151,7 +203,8 @@ def _lipac(arguments: Sequence[str], limit: float) -> Row:
 
 
 def _child(arguments: Sequence[str], limit: float) -> Row:
-    """Python with arguments, in a fresh process: its seconds, and bytes that were taken on the card meanwhile; or `not_run`."""
+    """Python with arguments, in a fresh process: its seconds, and bytes that were taken on the card meanwhile; or
+    `not_run`."""
     before, most, done = _card_bytes(), [0], threading.Event()
 
     def watch() -> None:
@@ -162,7 +215,14 @@ def _child(arguments: Sequence[str], limit: float) -> Row:
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
     try:
-        ended = subprocess.run([sys.executable, *arguments], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=max(limit, 1.0))
+        ended = subprocess.run(
+            [sys.executable, *arguments],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=max(limit, 1.0),
+        )
     except subprocess.TimeoutExpired:
         return {"not_run": f"ended after {max(limit, 1.0):.0f} s"}
     finally:
@@ -171,7 +231,10 @@ def _child(arguments: Sequence[str], limit: float) -> Row:
     if ended.returncode:
         lines = ended.stderr.strip().splitlines()
         return {"not_run": lines[-1] if lines else f"status {ended.returncode}"}
-    return {"wall_s": time.perf_counter() - start, "card_bytes": max(most[0] - before, 0) or None if before is not None else None}
+    return {
+        "wall_s": time.perf_counter() - start,
+        "card_bytes": max(most[0] - before, 0) or None if before is not None else None,
+    }
 
 
 def _nvidia(*what: str) -> list[str]:
@@ -179,12 +242,20 @@ def _nvidia(*what: str) -> list[str]:
     program = shutil.which("nvidia-smi")
     if program is None:
         return []
-    done = subprocess.run([program, f"--query-gpu={','.join(what)}", "--format=csv,noheader,nounits"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [program, f"--query-gpu={','.join(what)}", "--format=csv,noheader,nounits"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return done.stdout.strip().splitlines() if done.returncode == 0 else []
 
 
 def _card() -> str:
-    return ", ".join(f"{name} (driver {driver.strip()})" for name, _, driver in (line.partition(",") for line in _nvidia("name", "driver_version")))
+    return ", ".join(
+        f"{name} (driver {driver.strip()})"
+        for name, _, driver in (line.partition(",") for line in _nvidia("name", "driver_version"))
+    )
 
 
 def _card_bytes() -> int | None:
@@ -194,7 +265,8 @@ def _card_bytes() -> int | None:
 
 
 def page(data: Row) -> str:
-    """The tables: one per scene and size, a row for each device, number of samples and way; then what was not run, and why."""
+    """The tables: one per scene and size, a row for each device, number of samples and way; then what was not run, and
+    why."""
     rows: dict[str, list[tuple[str, ...]]] = {}
     missing = []
     for name, one in data["measured"].items():
@@ -203,19 +275,42 @@ def page(data: Row) -> str:
             missing.append(f"- {name}: {one['not_run']}")
             continue
         full = data["measured"].get(f"{scene} {picture} {device} {samples} {FULL}", {})
-        times = [f" ({full[key] / one[key]:.2g} times)" if way != FULL and full.get(key) else "" for key in ("wall_s", "render_s")]
+        times = [
+            f" ({full[key] / one[key]:.2g} times)" if way != FULL and full.get(key) else ""
+            for key in ("wall_s", "render_s")
+        ]
         first = "unknown" if one["first_sample_s"] is None else f"{one['first_sample_s']:.2f}"
-        memory = ["unknown" if one[key] is None else size(one[key]) for key in ("device_bytes", "card_bytes", "host_bytes")]
+        memory = [
+            "unknown" if one[key] is None else size(one[key]) for key in ("device_bytes", "card_bytes", "host_bytes")
+        ]
         seconds = (f"{one['wall_s']:.2f}{times[0]}", f"{one['render_s']:.2f}{times[1]}", first)
         kept = "" if one["active"] is None else f"{one['active']:,} of {one['instances']:,}"
-        rows.setdefault(f"{scene}, {picture}", []).append((f"{device}, {samples} samples, {way}", kept, *seconds, *memory))
-    head = ("", "instances kept", "process, s", "render, s", "first sample, s", "device memory (Cycles)", "on the card", "host memory")
+        rows.setdefault(f"{scene}, {picture}", []).append(
+            (f"{device}, {samples} samples, {way}", kept, *seconds, *memory)
+        )
+    head = (
+        "",
+        "instances kept",
+        "process, s",
+        "render, s",
+        "first sample, s",
+        "device memory (Cycles)",
+        "on the card",
+        "host memory",
+    )
     out = [f"`lipac bench --only gpu` on {data['machine']}.", ""]
     for scene, lines in rows.items():
         out += [f"### {scene}", "", markdown([head, *lines]), ""]
-    analyses = [f"{name.removeprefix('culled ')}: {seconds:.1f} s" for name, seconds in data["prepared"].items() if name.startswith("culled ")]
+    analyses = [
+        f"{name.removeprefix('culled ')}: {seconds:.1f} s"
+        for name, seconds in data["prepared"].items()
+        if name.startswith("culled ")
+    ]
     if analyses:
-        out += [f"Rows `{BAKED}` render a copy that `lipac analyze --bake shot --save` made before: {'; '.join(analyses)}.", ""]
+        out += [
+            f"Rows `{BAKED}` render a copy that `lipac analyze --bake shot --save` made before: {'; '.join(analyses)}.",
+            "",
+        ]
     if missing:
         out += ["Not run:", "", *missing, ""]
     return "\n".join(out)

@@ -1,7 +1,9 @@
-"""What live mode and the overlay cost Blender's main thread: `python -m lipac.scripts.studies.bench_live -o docs/live.md`.
+"""What live mode and the overlay cost Blender's main thread: `python -m lipac.scripts.studies.bench_live -o
+docs/live.md`.
 
-The demo city of 100,000 instances, whose camera, an object, and then the scatter as a whole are moved again and again; of each edit the longest tick counts.
-Time is what the thread computed, and beside it what passed, which on a busy machine is more.
+The demo city of 100,000 instances, whose camera, an object, and then the scatter as a whole are moved again and again;
+of each edit the longest tick counts. Time is what the thread computed, and beside it what passed, which on a busy
+machine is more.
 """
 
 from __future__ import annotations
@@ -69,7 +71,11 @@ def ticks(repeats: int) -> dict[str, list[Took]]:
         return lambda: setattr(ob, "location", (ob.location[0] + 0.01, *ob.location[1:]))
 
     times: dict[str, list[Took]] = {"first": [max(first)]}
-    for name, edit, count in (("camera", moved(scene.camera), repeats), ("object", moved(tower), repeats), ("scatter", moved(city), max(3, repeats // 8))):
+    for name, edit, count in (
+        ("camera", moved(scene.camera), repeats),
+        ("object", moved(tower), repeats),
+        ("scatter", moved(city), max(3, repeats // 8)),
+    ):
         times[name] = []
         for _ in range(count):
             edit()
@@ -101,7 +107,8 @@ def _rounds(all_ticks: list[Took], count: int = 10_000) -> list[Took]:
 
 
 def rebuilds(repeats: int) -> dict[str, list[Took]]:
-    """Seconds to lay out a box for every instance and send them to the graphics card; nothing where Blender cannot draw without a window."""
+    """Seconds to lay out a box for every instance and send them to the graphics card; nothing where Blender cannot draw
+    without a window."""
     import bpy
     import gpu
 
@@ -142,7 +149,18 @@ def report(times: dict[str, list[Took]], count: int) -> str:
             thread, wall = (statistics.median(t[k] for t in times[name]) * 1000 for k in (0, 1))
             rows.append(f"| {text} | {thread:.2f} ms | {wall:.2f} ms | {bound} |")
     head = f"`python -m lipac.scripts.studies.bench_live` on {machine()}: the demo city, {count:,} instances."
-    return "\n".join(["# Live mode, measured", "", head, "", "| median | main thread computes | clock | bound |", "|---|---:|---:|---:|", *rows, ""])
+    return "\n".join(
+        [
+            "# Live mode, measured",
+            "",
+            head,
+            "",
+            "| median | main thread computes | clock | bound |",
+            "|---|---:|---:|---:|",
+            *rows,
+            "",
+        ]
+    )
 
 
 if __name__ == "__main__":

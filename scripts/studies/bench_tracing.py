@@ -1,4 +1,5 @@
-"""Benchmark parts that trace: rays per second against a bare loop in C, paths per second against other path tracers, seconds to compile."""
+"""Benchmark parts that trace: rays per second against a bare loop in C, paths per second against other path tracers,
+seconds to compile."""
 
 from __future__ import annotations
 
@@ -11,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,8 @@ _CHUNK = 1 << 12
 
 
 def interleaved(jobs: dict[str, Callable[[], float]], repeats: int) -> dict[str, float]:
-    """Median seconds of each job; the jobs take turns, so that what else the machine does meets all of them. A job returns its seconds."""
+    """Median seconds of each job; the jobs take turns, so that what else the machine does meets all of them. A job
+    returns its seconds."""
     seconds: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(repeats):
         for name, job in jobs.items():
@@ -42,7 +43,8 @@ def interleaved(jobs: dict[str, Callable[[], float]], repeats: int) -> dict[str,
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _feedback_loop(tlas, ids, first, hitboxes, counters, box_every, rays, start, stop, hits, ray_type):
-    """Trace rays start to stop of (n, 6) float32 with the path tracer's feedback: a hit counts for its instance, every `box_every`-th ray for boxes crossed."""
+    """Trace rays start to stop of (n, 6) float32 with the path tracer's feedback: a hit counts for its instance, every
+    `box_every`-th ray for boxes crossed."""
     ray, query = np.empty(RAY, np.float32), np.empty(QUERY, np.int64)
     for i in range(start, stop):
         set_ray(ray, rays[i, 0], rays[i, 1], rays[i, 2], rays[i, 3], rays[i, 4], rays[i, 5], 0.0, 1e30, 0xFFFFFFFF)
@@ -106,7 +108,8 @@ def _compiled(folder: Path) -> ctypes.CDLL | None:
 
 
 def rays(folder: Path) -> dict[str, Any]:
-    """Rays per second with feedback, over those of the bare loop: mirror-city with 100,000 instances all active, then culled with hitboxes."""
+    """Rays per second with feedback, over those of the bare loop: mirror-city with 100,000 instances all active, then
+    culled with hitboxes."""
     library = _compiled(folder)
     if library is None:
         return {"skipped": "no C compiler (cc) here"}
@@ -125,12 +128,26 @@ def rays(folder: Path) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     kinds = {"camera": _camera_rays(scene.camera, RAYS, rng)}
     bounced = np.empty_like(kinds["camera"])
-    count = _bounce(everything.handle, everything.ids, everything.first, scene.instances.transform, kinds["camera"], rng.uniform(size=(RAYS, 2)), bounced)
+    count = _bounce(
+        everything.handle,
+        everything.ids,
+        everything.first,
+        scene.instances.transform,
+        kinds["camera"],
+        rng.uniform(size=(RAYS, 2)),
+        bounced,
+    )
     kinds["diffuse bounce"] = bounced[:count].copy()
     function = ctypes.cast(lib.rtcIntersect1, ctypes.c_void_p)
     threads = cores()
     hits = np.zeros((len(scene.instances), RAY_TYPES), np.int64)
-    out: dict[str, Any] = {"threads": threads, "instances": len(scene.instances), "active": int(culling.active.sum()), "hitboxes": len(boxes), "cases": []}
+    out: dict[str, Any] = {
+        "threads": threads,
+        "instances": len(scene.instances),
+        "active": int(culling.active.sum()),
+        "hitboxes": len(boxes),
+        "cases": [],
+    }
 
     def bare(tlas: Tlas, batch: np.ndarray) -> float:
         start = time.perf_counter()
@@ -140,18 +157,32 @@ def rays(folder: Path) -> dict[str, Any]:
     def ours(tlas: Tlas, batch: np.ndarray, box_every: int) -> float:
         def work(first: int) -> None:
             stop = min(first + _CHUNK, len(batch))
-            _feedback_loop(tlas.handle, tlas.ids, tlas.first, boxes.handle, boxes.counters, box_every, batch, first, stop, hits, 0)
+            _feedback_loop(
+                tlas.handle, tlas.ids, tlas.first, boxes.handle, boxes.counters, box_every, batch, first, stop, hits, 0
+            )
 
         start = time.perf_counter()
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(work, range(0, len(batch), _CHUNK)))
         return time.perf_counter() - start
 
-    for label, tlas, box_every in (("all active", everything, 0), ("culled, boxes on every 8th ray", kept, 8), ("culled, boxes on every ray", kept, 1)):
+    for label, tlas, box_every in (
+        ("all active", everything, 0),
+        ("culled, boxes on every 8th ray", kept, 8),
+        ("culled, boxes on every ray", kept, 1),
+    ):
         for kind, batch in kinds.items():
             ours(tlas, batch[:_CHUNK], box_every)  # compiled before the clock runs
-            took = interleaved({"bare": partial(bare, tlas, batch), "ours": partial(ours, tlas, batch, box_every)}, REPEATS)
-            case = {"case": label, "rays": kind, "bare": len(batch) / took["bare"], "ours": len(batch) / took["ours"], "ratio": took["bare"] / took["ours"]}
+            took = interleaved(
+                {"bare": partial(bare, tlas, batch), "ours": partial(ours, tlas, batch, box_every)}, REPEATS
+            )
+            case = {
+                "case": label,
+                "rays": kind,
+                "bare": len(batch) / took["bare"],
+                "ours": len(batch) / took["ours"],
+                "ratio": took["bare"] / took["ours"],
+            }
             out["cases"].append(case)
     return out
 
@@ -164,143 +195,6 @@ def _city(instances: int) -> Any:
 
     build("mirror-city", instances)
     return extract_frame(bpy.context.scene).scene
-
-
-SPHERES, SIDE, SAMPLES, BOUNCES = 10_000, 256, 16, 2
-
-
-def _spheres() -> Any:
-    """10,000 linked diffuse spheres under a constant sky; at most two bounces, so three vertices a path. Returns positions (n, 3)."""
-    import bpy
-
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=32, ring_count=16, radius=0.4)
-    first = bpy.context.object
-    material = bpy.data.materials.new("Diffuse")
-    tree = material.node_tree
-    tree.nodes.remove(tree.nodes["Principled BSDF"])
-    diffuse = tree.nodes.new("ShaderNodeBsdfDiffuse")
-    diffuse.inputs["Color"].default_value = (0.8, 0.8, 0.8, 1)
-    tree.links.new(diffuse.outputs[0], tree.nodes["Material Output"].inputs["Surface"])
-    first.data.materials.append(material)
-    at = np.random.default_rng(0).uniform(-15, 15, (SPHERES, 3))
-    for k, position in enumerate(at.tolist()):
-        copy = bpy.data.objects.new(f"Sphere {k}", first.data) if k else first
-        copy.location = position
-        if k:
-            scene.collection.objects.link(copy)
-    world = bpy.data.worlds.new("Sky")
-    world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
-    scene.world = world
-    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.location = (0, -45, 0)
-    camera.rotation_euler = (np.pi / 2, 0, 0)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    scene.render.engine = "CYCLES"
-    scene.render.resolution_x = scene.render.resolution_y = SIDE
-    cycles = scene.cycles
-    cycles.device, cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = "CPU", SAMPLES, False, False
-    cycles.max_bounces, cycles.diffuse_bounces = BOUNCES, BOUNCES
-    cycles.sample_clamp_indirect = 0
-    return at
-
-
-def _mitsuba(positions: Any, camera: Any, mesh: Any) -> tuple[Callable[[], float], Callable[[], float]] | None:
-    """Seconds of, and mean of, the same picture by Mitsuba 3 `scalar_rgb`; None where it is not installed."""
-    try:
-        import mitsuba as mi
-    except ImportError:
-        return None
-    mi.set_variant("scalar_rgb")
-    shape = mi.Mesh("sphere", len(mesh.positions), len(mesh.triangles))
-    parameters = mi.traverse(shape)
-    parameters["vertex_positions"], parameters["faces"] = mesh.positions.ravel(), mesh.triangles.ravel()
-    parameters.update()
-    ply = Path(os.environ.get("TMPDIR", "/tmp")) / f"lipac-bench-{os.getpid()}.ply"
-    shape.write_ply(str(ply))
-    fov = float(np.degrees(2 * np.arctan(camera.frame[1])))
-    turned = np.vstack([camera.to_world @ np.diag([-1.0, 1, -1, 1]), [0, 0, 0, 1]])  # Mitsuba's camera looks along +Z with +X to the left
-    diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.8}}
-    scene: dict[str, Any] = {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": BOUNCES + 2, "rr_depth": 100},
-        "sensor": {
-            "type": "perspective",
-            "fov": fov,
-            "to_world": mi.ScalarTransform4f(turned),
-            "film": {"type": "hdrfilm", "width": SIDE, "height": SIDE, "rfilter": {"type": "box"}},
-            "sampler": {"type": "independent", "sample_count": SAMPLES},
-        },
-        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}},
-        "group": {"type": "shapegroup", "sphere": {"type": "ply", "filename": str(ply), "face_normals": True, "bsdf": diffuse}},
-    }
-    for k, position in enumerate(positions.tolist()):
-        scene[f"i{k}"] = {"type": "instance", "to_world": mi.ScalarTransform4f().translate(position), "group": {"type": "ref", "id": "group"}}
-    loaded = mi.load_dict(scene)
-    ply.unlink()
-    last: dict[str, Any] = {}
-
-    def seconds() -> float:
-        start = time.perf_counter()
-        last["picture"] = np.array(mi.render(loaded))
-        return time.perf_counter() - start
-
-    return seconds, lambda: float(last["picture"].mean())
-
-
-def paths(folder: Path) -> dict[str, Any]:
-    """Paths per second of one scene by the project's path tracer, by Mitsuba 3 and by Cycles on the CPU."""
-    import bpy
-
-    from ...core.accel.blas import BlasCache
-    from ...core.accel.tlas import Tlas
-    from ...core.tracing.tracer import prepare, trace
-    from ...lipac_addon.console import muted
-    from ...lipac_addon.extract import extract_frame
-    from ...lipac_addon.pictures import read_picture, save_render_result
-
-    positions = _spheres()
-    scene = extract_frame(bpy.context.scene).scene
-    blas = BlasCache(scene.meshes)
-    blas.need(scene.instances.mesh)
-    prepared, tlas = prepare(scene, blas), Tlas(scene.instances, blas, np.ones(len(scene.instances), bool))
-    means: dict[str, float] = {}
-
-    def ours() -> float:
-        start = time.perf_counter()
-        picture = trace(prepared, tlas, SAMPLES)
-        seconds = time.perf_counter() - start
-        means["ours"] = float(picture.mean[..., :3].mean())
-        return seconds
-
-    def cycles(samples: int) -> float:
-        bpy.context.scene.cycles.samples = samples
-        start = time.perf_counter()
-        with muted():
-            bpy.ops.render.render()
-        return time.perf_counter() - start
-
-    many = 4 * SAMPLES  # Cycles has no clock for sampling alone: the difference between many and few samples
-    trace(prepared, tlas, 1)
-    jobs: dict[str, Callable[[], float]] = {"ours": ours, "Cycles few": lambda: cycles(SAMPLES), "Cycles many": lambda: cycles(SAMPLES + many)}
-    # The scene of Mitsuba is in Blender's world, the core's camera is relative to its origin.
-    absolute = scene.camera.to_world.copy()
-    absolute[:, 3] += scene.origin
-    peer = _mitsuba(positions, replace(scene.camera, to_world=absolute), scene.meshes[int(scene.instances.mesh[0])])
-    if peer:
-        jobs["Mitsuba 3 scalar_rgb"] = peer[0]
-    took = interleaved(jobs, 3)
-    with muted():
-        save_render_result(bpy.context.scene, folder / "spheres")
-    means["Cycles"] = float(read_picture(folder / "spheres.exr")[..., :3].mean())
-    n = SIDE * SIDE * SAMPLES
-    out = {"ours": n / took["ours"], "Cycles": SIDE * SIDE * many / (took["Cycles many"] - took["Cycles few"])}
-    if peer:
-        out["Mitsuba 3 scalar_rgb"] = n / took["Mitsuba 3 scalar_rgb"]
-        means["Mitsuba 3 scalar_rgb"] = peer[1]()
-    return {"threads": cores(), "instances": SPHERES, "bounces": BOUNCES, "paths_per_s": out, "mean_radiance": means}
 
 
 _START = """
@@ -318,7 +212,8 @@ print("SECONDS", time.perf_counter() - start)
 
 
 def feedback(_folder: Path) -> dict[str, Any]:
-    """Seconds to trace the paths of a measurement of mirror-city with default options: bare; with hits, weights and path logs; and to decide by them.
+    """Seconds to trace the paths of a measurement of mirror-city with default options: bare; with hits, weights and
+    path logs; and to decide by them.
 
     Deciding: relative weights, the selection, states and hysteresis; not the trials, which trace again.
     """
@@ -344,18 +239,28 @@ def feedback(_folder: Path) -> dict[str, Any]:
 
     def decide() -> None:
         Reference(measured.log)
-        selection = select(measured.weights.relative(), Savings.among(mesh, loop.blas.bytes_of).share, budget.mean, budget.worst)
+        selection = select(
+            measured.weights.relative(), Savings.among(mesh, loop.blas.bytes_of).share, budget.mean, budget.worst
+        )
         keep = np.zeros(len(loop.activation.active), bool)
         keep[tlas.ids[~selection.cull]] = True
         loop.result(keep, np.zeros(len(keep), np.float32), measured.feedback.hits)
 
     bare = timed(lambda: trace(loop.tracer.prepared, tlas, loop.samples, size=loop.size))
-    seconds = interleaved({"bare": bare, "measured": timed(lambda: loop.measure(tlas, loop.samples)), "deciding": timed(decide)}, 9)
-    return {"seconds": seconds, "paths": int(measured.feedback.paths), "instances": len(loop.activation.active), "active": len(tlas)}
+    seconds = interleaved(
+        {"bare": bare, "measured": timed(lambda: loop.measure(tlas, loop.samples)), "deciding": timed(decide)}, 9
+    )
+    return {
+        "seconds": seconds,
+        "paths": int(measured.feedback.paths),
+        "instances": len(loop.activation.active),
+        "active": len(tlas),
+    }
 
 
 def compiling(folder: Path) -> dict[str, Any]:
-    """Seconds from the file being open to the end of an analysis of a few pixels: with no kernel compiled, and with all of them cached."""
+    """Seconds from the file being open to the end of an analysis of a few pixels: with no kernel compiled, and with all
+    of them cached."""
     from .compare import lipac
 
     scene = folder / "small-city.blend"
@@ -365,7 +270,9 @@ def compiling(folder: Path) -> dict[str, Any]:
     environment = os.environ | {"LIPAC_CACHE_DIR": str(cache)}
     seconds = []
     for _ in range(4):
-        done = subprocess.run([sys.executable, "-c", _START, scene], env=environment, stdout=subprocess.PIPE, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", _START, scene], env=environment, stdout=subprocess.PIPE, text=True, check=True
+        )
         seconds.append(float(done.stdout.split("SECONDS")[1].split()[0]))
     shutil.rmtree(cache, ignore_errors=True)
     warm = statistics.median(seconds[1:])

@@ -1,4 +1,5 @@
-"""What culling saves and what it costs: full and culled Cycles renders of a scene, each in a process of its own, and the pictures that show the difference."""
+"""What culling saves and what it costs: full and culled Cycles renders of a scene, each in a process of its own, and
+the pictures that show the difference."""
 
 from __future__ import annotations
 
@@ -17,20 +18,26 @@ FULL, OTHER_SEED, CULLED = "full", "other-seed", "culled"
 
 
 def lipac(*arguments: str | Path) -> float:
-    """Run `lipac ARGUMENTS` in a process of its own, its progress on our stderr; returns its seconds. Ends the program with its status if it fails."""
+    """Run `lipac ARGUMENTS` in a process of its own, its progress on our stderr; returns its seconds. Ends the program
+    with its status if it fails."""
     start = time.perf_counter()
-    done = subprocess.run([sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)], stdout=subprocess.DEVNULL, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)], stdout=subprocess.DEVNULL, check=False
+    )
     if done.returncode:
         sys.exit(done.returncode)
     return time.perf_counter() - start
 
 
 def render(scene: Path, folder: Path, name: str, options: Sequence[str]) -> dict[str, Any]:
-    """One of the renders FULL, OTHER_SEED and CULLED of a scene by Cycles into folder/name; its report, and the seconds of the whole command as `process_s`."""
+    """One of the renders FULL, OTHER_SEED and CULLED of a scene by Cycles into folder/name; its report, and the seconds
+    of the whole command as `process_s`."""
     policy = "light-paths" if name == CULLED else "none"
     seed = "1" if name == OTHER_SEED else "0"
     (folder / name / "report.json").unlink(missing_ok=True)  # which would go on with the peak memory of the run before
-    seconds = lipac("render", scene, "-o", folder / name, "--engine", "cycles", "--cull", policy, "--seed", seed, *options)
+    seconds = lipac(
+        "render", scene, "-o", folder / name, "--engine", "cycles", "--cull", policy, "--seed", seed, *options
+    )
     report: dict[str, Any] = json.loads((folder / name / "report.json").read_text())
     return report | {"process_s": seconds}
 
@@ -44,7 +51,8 @@ def pictures(folder: Path, name: str) -> tuple[Any, Any]:
 
 
 def errors(folder: Path) -> dict[str, dict[str, float]]:
-    """Errors against the full render: of the culled one with the same random numbers, and, as a yardstick, of the full one with other random numbers."""
+    """Errors against the full render: of the culled one with the same random numbers, and, as a yardstick, of the full
+    one with other random numbers."""
     from ...core.evaluation.metrics import error
 
     linear, shown = pictures(folder, FULL)
@@ -56,7 +64,8 @@ def errors(folder: Path) -> dict[str, dict[str, float]]:
 
 
 def flip_picture(folder: Path) -> Any:
-    """The FLIP map between full and culled picture in the Magma colours that FLIP is published with: (H, W, 3) uint8."""
+    """The FLIP map between full and culled picture in the Magma colours that FLIP is published with: (H, W, 3)
+    uint8."""
     from matplotlib import colormaps
 
     from ...core.evaluation.metrics import flip
@@ -93,7 +102,14 @@ def table(full: dict[str, Any], culled: dict[str, Any], error: dict[str, dict[st
     def ratio(x: float, y: float) -> str:
         return f"{x / y:.3g} times" if y > 0 else ""
 
-    phases = {"sync_s": "read the scene", "build_s": "build", "trace_s": "trace", "feedback_s": "feedback", "writeback_s": "write back", "render_s": "Cycles"}
+    phases = {
+        "sync_s": "read the scene",
+        "build_s": "build",
+        "trace_s": "trace",
+        "feedback_s": "feedback",
+        "writeback_s": "write back",
+        "render_s": "Cycles",
+    }
     rows = [
         row("", "full", "culled", "full / culled"),
         row("instances", f"{a['instances']:,}", f"{b['instances']:,}"),
@@ -101,14 +117,30 @@ def table(full: dict[str, Any], culled: dict[str, Any], error: dict[str, dict[st
         row("hitboxes", "", f"{b['hitboxes']:,}"),
         row("BLAS", "", size(b["blas_bytes"])),
         row("TLAS", "", size(b["tlas_bytes"])),
-        *(row(label, f"{a[key]:.2f} s", f"{b[key]:.2f} s", ratio(a[key], b[key]) if key == "render_s" else "") for key, label in phases.items()),
-        row("whole command", f"{full['process_s']:.2f} s", f"{culled['process_s']:.2f} s", ratio(full["process_s"], culled["process_s"])),
+        *(
+            row(label, f"{a[key]:.2f} s", f"{b[key]:.2f} s", ratio(a[key], b[key]) if key == "render_s" else "")
+            for key, label in phases.items()
+        ),
+        row(
+            "whole command",
+            f"{full['process_s']:.2f} s",
+            f"{culled['process_s']:.2f} s",
+            ratio(full["process_s"], culled["process_s"]),
+        ),
         row("peak memory", size(peak_a), size(peak_b), ratio(peak_a, peak_b)),
     ]
     head = ("error against full", "another seed", "culled", "seed / culled")
-    measures = {"flip": "mean FLIP", "relmse": "relMSE", "rmse": "RMSE, mean of tiles", "rmse_p99": "RMSE, 99 % of tiles"}
+    measures = {
+        "flip": "mean FLIP",
+        "relmse": "relMSE",
+        "rmse": "RMSE, mean of tiles",
+        "rmse_p99": "RMSE, 99 % of tiles",
+    }
     seeds, cost = error[OTHER_SEED], error[CULLED]
-    marks = [row(label, f"{seeds[key]:.4f}", f"{cost[key]:.4f}", ratio(seeds[key], cost[key])) for key, label in measures.items()]
+    marks = [
+        row(label, f"{seeds[key]:.4f}", f"{cost[key]:.4f}", ratio(seeds[key], cost[key]))
+        for key, label in measures.items()
+    ]
     return markdown(rows) + "\n\n" + markdown([head, *marks])
 
 
@@ -118,7 +150,11 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
 
     def line(cells: Sequence[str]) -> str:
         first, *rest = cells
-        return "| " + " | ".join([first.ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(rest, widths[1:], strict=True))]) + " |"
+        return (
+            "| "
+            + " | ".join([first.ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(rest, widths[1:], strict=True))])
+            + " |"
+        )
 
     rule = "|" + "|".join("-" * (widths[0] + 2) if c == 0 else "-" * (w + 1) + ":" for c, w in enumerate(widths)) + "|"
     return "\n".join([line(rows[0]), rule, *map(line, rows[1:])])

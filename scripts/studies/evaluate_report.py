@@ -16,7 +16,10 @@ from ...core.files.report import size
 from .compare import markdown
 from .hybrid.report import sections
 
-_COLORS, _MARKERS = ("tab:blue", "tab:green", "tab:purple", "tab:olive", "tab:cyan", "tab:brown"), ("s-", "^-", "d-", "v-")
+_COLORS, _MARKERS = (
+    ("tab:blue", "tab:green", "tab:purple", "tab:olive", "tab:cyan", "tab:brown"),
+    ("s-", "^-", "d-", "v-"),
+)
 STYLE = {
     OURS: ("tab:red", "o-"),
     ORACLE: ("black", "*--"),
@@ -40,7 +43,10 @@ def write(folder: Path, summary: Summary, evaluation: Evaluation) -> None:
     with replacing(folder / "evaluation.csv") as path, path.open("w", newline="") as stream:
         writer = csv.DictWriter(stream, columns, lineterminator="\n")
         writer.writeheader()
-        writer.writerows({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()} for row in summary["rows"])
+        writer.writerows(
+            {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()}
+            for row in summary["rows"]
+        )
     plots(folder, summary)
     pictures(folder, summary, evaluation)
     with replacing(folder / "report.md") as path:
@@ -53,12 +59,28 @@ def plots(folder: Path, summary: Summary) -> None:
 
     for name, (label, cost) in AXES.items():
         figure = Figure(figsize=(11, 4.2), layout="constrained")
-        for axes, key, text in zip(figure.subplots(1, 2), ("mean", "flip"), ("mean relative change of tiles", "HDR-FLIP"), strict=True):
+        for axes, key, text in zip(
+            figure.subplots(1, 2), ("mean", "flip"), ("mean relative change of tiles", "HDR-FLIP"), strict=True
+        ):
             for policy, (color, style) in STYLE.items():
                 rows = sorted((r for r in summary["rows"] if r["policy"] == policy), key=cost)
                 if rows:
-                    axes.plot([cost(r) for r in rows], [max(r[key], 1e-5) for r in rows], style, color=color, label=policy, markersize=5, linewidth=1)
-            axes.axhline(summary["noise_floor"][key], color="gray", linewidth=0.8, linestyle=":", label="another seed, nothing culled")
+                    axes.plot(
+                        [cost(r) for r in rows],
+                        [max(r[key], 1e-5) for r in rows],
+                        style,
+                        color=color,
+                        label=policy,
+                        markersize=5,
+                        linewidth=1,
+                    )
+            axes.axhline(
+                summary["noise_floor"][key],
+                color="gray",
+                linewidth=0.8,
+                linestyle=":",
+                label="another seed, nothing culled",
+            )
             axes.set(xlabel=label, ylabel=f"{text} (1e-5: none)", xscale="log", yscale="log")
             axes.grid(alpha=0.3)
         figure.axes[0].legend(fontsize=7)
@@ -74,7 +96,8 @@ def shown(picture: np.ndarray) -> np.ndarray:
 
 
 def pictures(folder: Path, summary: Summary, evaluation: Evaluation) -> None:
-    """One sheet: the full picture, and for the 1 % budget ours, the oracle and the best heuristic of no more instances, each with its FLIP map."""
+    """One sheet: the full picture, and for the 1 % budget ours, the oracle and the best heuristic of no more instances,
+    each with its FLIP map."""
     from matplotlib import colormaps
     from matplotlib.image import imsave
 
@@ -84,13 +107,16 @@ def pictures(folder: Path, summary: Summary, evaluation: Evaluation) -> None:
     sheet = [np.concatenate([shown(full), shown(evaluation.judge.second_seed[..., :3])])]
     for k in chosen(rows):
         difference, _ = flip_hdr(full, evaluation.pictures[k])
-        sheet.append(np.concatenate([shown(evaluation.pictures[k]), colormaps["magma"](difference[::-1], bytes=True)[..., :3]]))
+        sheet.append(
+            np.concatenate([shown(evaluation.pictures[k]), colormaps["magma"](difference[::-1], bytes=True)[..., :3]])
+        )
     with replacing(folder / "pictures.png") as path:
         imsave(path, np.concatenate(sheet, axis=1))
 
 
 def chosen(rows: list[dict[str, Any]]) -> list[int]:
-    """Rows of the sheet: ours and the oracle at 1 %, and the heuristic of least error among those that keep at most 1.2 times as much as ours."""
+    """Rows of the sheet: ours and the oracle at 1 %, and the heuristic of least error among those that keep at most 1.2
+    times as much as ours."""
     find = {(r["policy"], r["setting"]): k for k, r in enumerate(rows)}
     ours = find[OURS, BUDGETS[1]]
     like = [k for k, r in enumerate(rows) if r["policy"] in RULES and r["active"] <= 1.2 * rows[ours]["active"]]
@@ -104,7 +130,20 @@ def percent(x: float) -> str:
 
 def equal_error_table(entries: list[tuple[str, dict[str, Any]]]) -> str:
     """Markdown: per scene and budget what is kept by ours, by the oracle and by the best heuristic."""
-    head = ("scene", "E", "measured mean", "worst tile", "in bounds", "instances", "oracle", "heuristic", "BLAS", "oracle", "heuristic", "to oracle")
+    head = (
+        "scene",
+        "E",
+        "measured mean",
+        "worst tile",
+        "in bounds",
+        "instances",
+        "oracle",
+        "heuristic",
+        "BLAS",
+        "oracle",
+        "heuristic",
+        "to oracle",
+    )
     rows: list[tuple[str, ...]] = [head]
     for name, e in entries:
         ratio = [e[key] / max(e[f"{key}_oracle"], 1) for key in ("active", "blas_bytes")]
@@ -128,18 +167,38 @@ def report(summary: Summary) -> str:
     """report.md: which policy wins where, and where ours loses."""
     entries = summary["equal_error"]
     lines = [f"# {summary['scene']}: cost against error", ""]
-    lines += [f"{summary['instances']:,} instances, {summary['size'][0]} x {summary['size'][1]}, judged by {summary['samples']} paths per pixel.", ""]
-    lines += ["'E' bounds the mean relative change of the picture's tiles, 5 E that of its worst tile. Heuristic: the cheapest setting of"]
-    lines[-1] += f" {', '.join(RULES)} that keeps both bounds. Last column: ours over the oracle, instances and BLAS bytes."
+    lines += [
+        f"{summary['instances']:,} instances, {summary['size'][0]} x {summary['size'][1]}, judged by "
+        f"{summary['samples']} paths per pixel.",
+        "",
+    ]
+    lines += [
+        "'E' bounds the mean relative change of the picture's tiles, 5 E that of its worst tile. Heuristic: the "
+        "cheapest setting of"
+    ]
+    lines[-1] += (
+        f" {', '.join(RULES)} that keeps both bounds. Last column: ours over the oracle, instances and BLAS bytes."
+    )
     lines += [""]
     lines += [equal_error_table([(summary["scene"], e) for e in entries]), ""]
     lines += [f"- {line}" for e in entries for line in verdict(e)]
     floor = summary["noise_floor"]
-    lines += ["", f"Two seeds of the full picture differ by {percent(floor['mean'])} in the mean, {percent(floor['worst'])} in the worst tile,"]
-    lines[-1] += f" HDR-FLIP {floor['flip']:.4f}, relMSE {floor['relmse']:.4f}; culling is judged with equal random numbers, and so far below that."
+    lines += [
+        "",
+        f"Two seeds of the full picture differ by {percent(floor['mean'])} in the mean, {percent(floor['worst'])} in "
+        "the worst tile,",
+    ]
+    lines[-1] += (
+        f" HDR-FLIP {floor['flip']:.4f}, relMSE {floor['relmse']:.4f}; culling is judged with equal random numbers, "
+        "and so far below that."
+    )
     if "budget_check" in summary:
         check = summary["budget_check"]
-        lines += ["", f"Budget check: the measured error stays in both bounds in {check['holding']} of {check['cases']} cases ({check['seeds']} seeds)."]
+        lines += [
+            "",
+            f"Budget check: the measured error stays in both bounds in {check['holding']} of {check['cases']} cases "
+            f"({check['seeds']} seeds).",
+        ]
     if "ray_budget" in summary:
         lines += ["", "Paths and boxes that the states need (E = 1 %):", "", ray_budget_table(summary["ray_budget"])]
     if "cycles" in summary:
@@ -156,13 +215,20 @@ def verdict(e: dict[str, Any]) -> list[str]:
     out = []
     who = f"E = {percent(e['error'])}"
     if not e["holds"]:
-        out.append(f"{who}: ours leaves the budget: {percent(e['mean'])} in the mean, {percent(e['worst'])} in the worst tile.")
+        out.append(
+            f"{who}: ours leaves the budget: {percent(e['mean'])} in the mean, {percent(e['worst'])} in the worst tile."
+        )
     for key, what in (("active", "instances"), ("blas_bytes", "BLAS bytes")):
         ours, oracle, heuristic = max(e[key], 1), max(e[f"{key}_oracle"], 1), max(e[f"{key}_heuristic"], 1)
         if heuristic < ours:
-            out.append(f"{who}: ours loses to {e[f'{key}_heuristic_policy']} in {what}, by {ours / heuristic:.2f} times.")
+            out.append(
+                f"{who}: ours loses to {e[f'{key}_heuristic_policy']} in {what}, by {ours / heuristic:.2f} times."
+            )
         else:
-            out.append(f"{who}: ours keeps {heuristic / ours:.3g} times fewer {what} than the best heuristic ({e[f'{key}_heuristic_policy']})")
+            out.append(
+                f"{who}: ours keeps {heuristic / ours:.3g} times fewer {what} than the best heuristic "
+                f"({e[f'{key}_heuristic_policy']})"
+            )
             out[-1] += f", {ours / oracle:.2f} times the oracle's."
     return out
 
@@ -190,27 +256,64 @@ def results(folder: Path) -> str:
     """results.md: the table over all scenes in folder, whose evaluations are done."""
     summaries = [json.loads(path.read_text()) for path in sorted(folder.glob("*/evaluation.json"))]
     entries = [(Path(s["scene"]).stem, e) for s in summaries for e in s["equal_error"]]
-    lines = ["# Results", "", "Regenerated by `make results` (`lipac evaluate --all -o docs/results`). 'E' bounds the mean relative change of the picture's"]
-    lines[-1] += " 16 x 9 tiles, 5 E that of the worst one. Measured by traces with equal random numbers that the analysis did not use."
-    lines += [f"Measured on {'; '.join(sorted({s['machine'] for s in summaries}))}."] if all("machine" in s for s in summaries) else []
+    lines = [
+        "# Results",
+        "",
+        "Regenerated by `make results` (`lipac evaluate --all -o docs/results`). 'E' bounds the mean relative change "
+        "of the picture's",
+    ]
+    lines[-1] += (
+        " 16 x 9 tiles, 5 E that of the worst one. Measured by traces with equal random numbers that the analysis did "
+        "not use."
+    )
+    lines += (
+        [f"Measured on {'; '.join(sorted({s['machine'] for s in summaries}))}."]
+        if all("machine" in s for s in summaries)
+        else []
+    )
     judged = ", ".join(f"{s['samples']}" for s in summaries)
     lines += [f"Paths per pixel of those traces, by scene: {judged}."]
-    lines += ["Oracle: the cheapest set found that keeps both bounds with 95 % confidence in each tile (core/evaluation/oracle.py)."]
+    lines += [
+        "Oracle: the cheapest set found that keeps both bounds with 95 % confidence in each tile "
+        "(core/evaluation/oracle.py)."
+    ]
     lines += ["Heuristic: the cheapest setting that keeps both bounds."]
-    lines += ["To oracle: instances and BLAS bytes that ours keeps over those of the oracle; the aim is 1.25. Where ours is over it, or a heuristic's: an"]
-    lines[-1] += " analysis decides by a few paths per pixel, and adds 3.5 standard deviations of their noise to what culling changes, for it is to be right"
-    lines[-1] += " with other random numbers, too; the oracle searches by all the judge's paths, which a user would not wait for."
+    lines += [
+        "To oracle: instances and BLAS bytes that ours keeps over those of the oracle; the aim is 1.25. Where ours is "
+        "over it, or a heuristic's: an"
+    ]
+    lines[-1] += (
+        " analysis decides by a few paths per pixel, and adds 3.5 standard deviations of their noise to what culling "
+        "changes, for it is to be right"
+    )
+    lines[-1] += (
+        " with other random numbers, too; the oracle searches by all the judge's paths, which a user would not wait "
+        "for."
+    )
     checks = [s["budget_check"] for s in summaries if "budget_check" in s]
     if checks:
         holding, cases = (sum(c[key] for c in checks) for key in ("holding", "cases"))
-        lines += ["", f"Over all scenes and seeds both bounds hold in {holding} of {cases} analyses, {percent(holding / cases)}."]
+        lines += [
+            "",
+            f"Over all scenes and seeds both bounds hold in {holding} of {cases} analyses, {percent(holding / cases)}.",
+        ]
     lines += ["", equal_error_table(entries), ""]
     for s in summaries:
         name = Path(s["scene"]).stem
-        lines += [f"## {name}", "", f"{s['instances']:,} instances; [report](results/{name}/report.md), [figures](results/{name}/evaluation.csv).", ""]
+        lines += [
+            f"## {name}",
+            "",
+            f"{s['instances']:,} instances; [report](results/{name}/report.md), "
+            f"[figures](results/{name}/evaluation.csv).",
+            "",
+        ]
         lines += [f"- {line}" for e in s["equal_error"] for line in verdict(e)]
         if "budget_check" in s:
             c = s["budget_check"]
-            lines += ["", f"Measured error within the budget: {c['holding']} of {c['cases']} cases ({c['seeds']} seeds, four budgets)."]
+            lines += [
+                "",
+                f"Measured error within the budget: {c['holding']} of {c['cases']} cases ({c['seeds']} seeds, four "
+                "budgets).",
+            ]
         lines += ["", f"![Error against active share](results/{name}/error_active.png)", ""]
     return "\n".join(lines).rstrip() + "\n" + sections(folder)

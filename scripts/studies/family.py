@@ -1,7 +1,9 @@
-"""`lipac evaluate --family N -o DIR`: does the budget hold on random scatters (`lipac_addon/demo/family.py`)? Each judged by Cycles.
+"""`lipac evaluate --family N -o DIR`: does the budget hold on random scatters (`lipac_addon/demo/family.py`)? Each
+judged by Cycles.
 
-Scenes are worked off by child processes, which may crash or hang: that is what the record then says. Each scene has a file in DIR/seeds; what is there already,
-by the same code and options, is not done again. DIR/family.json has all of them, DIR/family.md the table.
+Scenes are worked off by child processes, which may crash or hang: that is what the record then says. Each scene has a
+file in DIR/seeds; what is there already, by the same code and options, is not done again. DIR/family.json has all of
+them, DIR/family.md the table.
 """
 
 from __future__ import annotations
@@ -20,19 +22,41 @@ from typing import Any
 
 import numpy as np
 
-from .. import children
-from ..children import Child
+from ..command import children
+from ..command.children import Child
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = (sys.executable, "-m", "lipac.scripts.studies.family")  # of a child process
 RENEWED = 25  # scenes after which a process is replaced by a new one: what leaks does so no further
 BUDGETS = (0.003, 0.006, 0.012, 0.025, 0.06)  # of the mean: bins of the table
 PIXELS = (0.1, 0.5, 2.0, 10.0, 100.0)
-COLUMNS = ("scenes", "runs", "held", "surely held", "mean held", "worst tile held", "beyond twice", "detail held", "kept, median", "analysis to Cycles, median")
-BROKEN = ("seed", "kind", "instances", "pixels", "budget", "luminance, colour: mean", "worst tile", "times the budget, surely")
+COLUMNS = (
+    "scenes",
+    "runs",
+    "held",
+    "surely held",
+    "mean held",
+    "worst tile held",
+    "beyond twice",
+    "detail held",
+    "kept, median",
+    "analysis to Cycles, median",
+)
+BROKEN = (
+    "seed",
+    "kind",
+    "instances",
+    "pixels",
+    "budget",
+    "luminance, colour: mean",
+    "worst tile",
+    "times the budget, surely",
+)
 NOTE = """
-Held: not surely broken by luminance or colour, noise taken off (3 standard errors); surely held: the upper end is within the budget too. Detail: beside it.
-Analysis: reading Blender's scene included, over the time that Cycles takes for 64 samples of the same picture with as many threads.
+Held: not surely broken by luminance or colour, noise taken off (3 standard errors); surely held: the upper end is
+within the budget too. Detail: beside it.
+Analysis: reading Blender's scene included, over the time that Cycles takes for 64 samples of the same
+picture with as many threads.
 """
 
 
@@ -40,7 +64,8 @@ Analysis: reading Blender's scene included, over the time that Cycles takes for 
 class Plan:
     """What to do with each seed.
 
-    size: of pictures; samples: of Cycles' first pairs; threads: of each job; limit: seconds for a scene; instances: rows of each scatter, None as drawn.
+    size: of pictures; samples: of Cycles' first pairs; threads: of each job; limit: seconds for a scene; instances:
+    rows of each scatter, None as drawn.
     """
 
     size: tuple[int, int]
@@ -51,14 +76,26 @@ class Plan:
 
     def options(self) -> dict[str, Any]:
         """All that a record depends on, but for its seed."""
-        from ..options import digest
+        from ..command.digest import digest
 
         sources = sorted([*(ROOT / "core").rglob("*.py"), *(ROOT / "lipac_addon").rglob("*.py")])
-        return {"size": list(self.size), "samples": self.samples, "threads": self.threads, "instances": self.instances, "code": digest(*sources)[:12]}
+        return {
+            "size": list(self.size),
+            "samples": self.samples,
+            "threads": self.threads,
+            "instances": self.instances,
+            "code": digest(*sources)[:12],
+        }
 
     def child(self, number: int) -> Child:
         """A new process for scenes. Raises RuntimeError where it does not start."""
-        given = {"size": self.size, "samples": self.samples, "threads": self.threads, "instances": self.instances, "number": number}
+        given = {
+            "size": self.size,
+            "samples": self.samples,
+            "threads": self.threads,
+            "instances": self.instances,
+            "number": number,
+        }
         return Child(COMMAND, given, self.threads, self.limit)
 
 
@@ -79,13 +116,16 @@ def serve(given: dict[str, Any]) -> None:
         from ...lipac_addon import family_trial
 
         family_trial.warm(given["threads"])
-        return lambda seed: family_trial.run(seed, tuple(given["size"]), given["samples"], given["threads"], given["instances"])
+        return lambda seed: family_trial.run(
+            seed, tuple(given["size"]), given["samples"], given["threads"], given["instances"]
+        )
 
     children.serve(prepare)
 
 
 def main(seeds: range, folder: Path, plan: Plan, jobs: int, stop_after: float, tell: Callable[[str], None]) -> int:
-    """Do what is missing of some seeds, so many at a time, and write the tables; exit status. stop_after: seconds after which no scene is begun.
+    """Do what is missing of some seeds, so many at a time, and write the tables; exit status. stop_after: seconds after
+    which no scene is begun.
 
     Raises KeyboardInterrupt after all processes have ended; what is done is kept.
     """
@@ -120,7 +160,10 @@ def main(seeds: range, folder: Path, plan: Plan, jobs: int, stop_after: float, t
                 _write(place / f"{seed:06}.json", json.dumps(record | {"options": options}, default=float))
                 with counting:
                     count += 1
-                    tell(f"{count} of {len(missing)}: {seed} {record.get('draw', {}).get('kind', '')} {record.get('failed') or record['verdict']}")
+                    tell(
+                        f"{count} of {len(missing)}: {seed} {record.get('draw', {}).get('kind', '')} "
+                        f"{record.get('failed') or record['verdict']}"
+                    )
         except RuntimeError as error:
             problems.append(str(error))
 
@@ -168,9 +211,16 @@ def table(records: Sequence[dict[str, Any]]) -> str:
     judged = [r for r in records if "failed" not in r]
     failed = [r for r in records if "failed" in r]
     groups: list[tuple[str, list[dict[str, Any]]]] = [("all", judged)]
-    groups += [(kind, [r for r in judged if r["draw"]["kind"] == kind]) for kind in sorted({r["draw"]["kind"] for r in judged})]
-    groups += [(f"budget {100 * a:g} to {100 * b:g} %", [r for r in judged if a <= r["draw"]["mean"] < b]) for a, b in pairwise(BUDGETS)]
-    groups += [(f"{a:g} to {b:g} pixels", [r for r in judged if a <= r["draw"]["pixels"] < b]) for a, b in pairwise(PIXELS)]
+    groups += [
+        (kind, [r for r in judged if r["draw"]["kind"] == kind]) for kind in sorted({r["draw"]["kind"] for r in judged})
+    ]
+    groups += [
+        (f"budget {100 * a:g} to {100 * b:g} %", [r for r in judged if a <= r["draw"]["mean"] < b])
+        for a, b in pairwise(BUDGETS)
+    ]
+    groups += [
+        (f"{a:g} to {b:g} pixels", [r for r in judged if a <= r["draw"]["pixels"] < b]) for a, b in pairwise(PIXELS)
+    ]
     lines = _head(COLUMNS, 1)
     lines += [_row(name, group) for name, group in groups if group]
     lines += NOTE.rstrip().splitlines()
@@ -194,15 +244,30 @@ def _row(name: str, records: Sequence[dict[str, Any]]) -> str:
     twice = sum(r["verdict"] == "twice" for r in records)
     kept = float(np.median([r["active"] / max(r["instances"], 1) for r in records]))
     ratio = float(np.median([r["analysis_s"] / r["cycles_64_s"] for r in records]))
-    cells = (held("verdict"), surely, held("verdict_mean"), held("verdict_worst"), twice, held("verdict_detail"), f"{100 * kept:.3g} %", f"{ratio:.2f}")
+    cells = (
+        held("verdict"),
+        surely,
+        held("verdict_mean"),
+        held("verdict_worst"),
+        twice,
+        held("verdict_detail"),
+        f"{100 * kept:.3g} %",
+        f"{ratio:.2f}",
+    )
     return f"| {name} | {len(records)} | " + " | ".join(map(str, cells)) + " |"
 
 
 def _broken(record: dict[str, Any]) -> str:
     draw, changes = record["draw"], record["changes"]
-    by = [" / ".join(f"{100 * changes[m][bound]['value']:.3g} %" for m in ("luminance", "colour")) for bound in ("mean", "worst")]
+    by = [
+        " / ".join(f"{100 * changes[m][bound]['value']:.3g} %" for m in ("luminance", "colour"))
+        for bound in ("mean", "worst")
+    ]
     budget = f"{100 * draw['mean']:.2g}, {100 * draw['worst']:.2g} %"
-    return f"| {record['seed']} | {draw['kind']} | {record['instances']:,} | {draw['pixels']:.2g} | {budget} | {by[0]} | {by[1]} | {record['times']:.2f} |"
+    return (
+        f"| {record['seed']} | {draw['kind']} | {record['instances']:,} | {draw['pixels']:.2g} | {budget} | "
+        f"{by[0]} | {by[1]} | {record['times']:.2f} |"
+    )
 
 
 def _percent(flags: Iterable[bool]) -> str:

@@ -16,7 +16,10 @@ def machine() -> str:
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
-        model = next((line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")), model)
+        model = next(
+            (line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")),
+            model,
+        )
     packages = [f"Blender {bpy.app.version_string}"]
     for name in ("numba", "embreex", "mitsuba"):
         try:

@@ -12,7 +12,21 @@ from lipac.core.tracing.tracer import prepare, trace
 
 CUBE_POSITIONS = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)], np.float32)
 CUBE_TRIANGLES = np.array(
-    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.uint32
+    [
+        [0, 2, 1],
+        [1, 2, 3],
+        [4, 5, 6],
+        [5, 7, 6],
+        [0, 1, 4],
+        [1, 5, 4],
+        [2, 6, 3],
+        [3, 6, 7],
+        [0, 4, 2],
+        [2, 4, 6],
+        [1, 3, 5],
+        [3, 7, 5],
+    ],
+    np.uint32,
 )
 
 
@@ -32,11 +46,15 @@ def sphere(rings: int = 16) -> s.Mesh:
     theta = np.linspace(0, np.pi, rings + 1)
     phi = np.linspace(0, 2 * np.pi, 2 * rings, endpoint=False)
     t, p = np.meshgrid(theta, phi, indexing="ij")
-    positions = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1).reshape(-1, 3).astype(np.float32)
+    positions = (
+        np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1).reshape(-1, 3).astype(np.float32)
+    )
     i, j = np.meshgrid(np.arange(rings), np.arange(2 * rings), indexing="ij")
     a, b = i * 2 * rings + j, i * 2 * rings + (j + 1) % (2 * rings)
     c, d = a + 2 * rings, b + 2 * rings
-    triangles = np.concatenate([np.stack([a, c, b], -1)[1:].reshape(-1, 3), np.stack([b, c, d], -1)[:-1].reshape(-1, 3)]).astype(np.uint32)
+    triangles = np.concatenate(
+        [np.stack([a, c, b], -1)[1:].reshape(-1, 3), np.stack([b, c, d], -1)[:-1].reshape(-1, 3)]
+    ).astype(np.uint32)
     return s.Mesh(positions, triangles)
 
 
@@ -48,7 +66,9 @@ def placed(location: tuple[float, float, float], scale: float | tuple[float, flo
     return out
 
 
-def look_at(eye: tuple[float, float, float], target: tuple[float, float, float], half_width: float = 0.5, aspect: float = 16 / 9) -> s.Camera:
+def look_at(
+    eye: tuple[float, float, float], target: tuple[float, float, float], half_width: float = 0.5, aspect: float = 16 / 9
+) -> s.Camera:
     """Perspective camera at eye; half_width: tangent of half the horizontal field of view."""
     z = np.subtract(eye, target).astype(float)
     z /= np.linalg.norm(z)
@@ -72,7 +92,9 @@ def build(
     """A scene of meshes placed as (mesh, transform, material), one material per instance."""
     mesh = np.array([p[0] for p in placement], np.int32)
     transform = np.stack([p[1] for p in placement]).astype(np.float32)
-    mesh_bounds = np.stack([np.stack([m.positions.min(axis=0), m.positions.max(axis=0)]) for m in meshes]).astype(np.float32)
+    mesh_bounds = np.stack([np.stack([m.positions.min(axis=0), m.positions.max(axis=0)]) for m in meshes]).astype(
+        np.float32
+    )
     instances = s.Instances(
         transform,
         mesh,

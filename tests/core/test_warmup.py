@@ -14,7 +14,7 @@ import pytest
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.options import CullOptions
 from lipac.core.scene import model as s
-from lipac.core.tracing.path_kernel import trace_tile
+from lipac.core.tracing.tile_kernel import trace_tile
 from lipac.core.warmup import KERNELS, LAST, telling
 
 from . import scenes

@@ -24,12 +24,15 @@ GROUP = "Cameras"
 def seen_from(camera: s.Camera, size: tuple[int, int] = SIZE) -> s.Scene:
     """The still life from another camera."""
     scene = still_life()
-    return dataclasses.replace(scene, camera=camera, film=dataclasses.replace(scene.film, width=size[0], height=size[1]))
+    return dataclasses.replace(
+        scene, camera=camera, film=dataclasses.replace(scene.film, width=size[0], height=size[1])
+    )
 
 
 @case(GROUP)
 def lenses() -> Iterator[Figure]:
-    """A picture from far through a long lens is the orthographic one; the further, the less they differ, until float32 has no digits left."""
+    """A picture from far through a long lens is the orthographic one; the further, the less they differ, until float32
+    has no digits left."""
     target, direction = np.array([0, 0, 0.3]), np.array([0, -5.0, 1.7])
     direction /= np.linalg.norm(direction)
     near = scenes.look_at(tuple(target + 8 * direction), tuple(target), 1.0)  # type: ignore[arg-type]
@@ -41,7 +44,11 @@ def lenses() -> Iterator[Figure]:
         figure = changed(reference, render(dataclasses.replace(seen_from(camera), limits=limits), 4).mean, 0.05)
         limit, why = 0.01, "perspective itself, and rays at edges"
         if distance > 5e4:
-            limit, why = 0.1, "at 10^5 of its sizes away float32 places the scene to 8 mm and tells directions apart to 6 mm: a sixth of a pixel"
+            limit, why = (
+                0.1,
+                "at 10^5 of its sizes away float32 places the scene to 8 mm and tells directions apart to 6 mm: a "
+                "sixth of a pixel",
+            )
         yield Figure(
             f"a lens of {lens} on a sensor of 36 mm, {distance:g} m away",
             "pixels that differ by more than 5 % from an orthographic picture",
@@ -71,15 +78,32 @@ def clipping() -> Iterator[Figure]:
     """Clip planes at any distance cut exactly: a floor seen from above, from just before and just behind each plane."""
     to_world = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1.0]], float)
     for orthographic in (False, True):
-        for start, end, visible in ((0.0, 1e30, 1), (0.999, 1.001, 1), (1.001, 2.0, 0), (0.1, 0.999, 0), (1e-7, 1e30, 1), (1e20, 1e30, 0), (2.0, 1.0, 0)):
+        for start, end, visible in (
+            (0.0, 1e30, 1),
+            (0.999, 1.001, 1),
+            (1.001, 2.0, 0),
+            (0.1, 0.999, 0),
+            (1e-7, 1e30, 1),
+            (1e20, 1e30, 0),
+            (2.0, 1.0, 0),
+        ):
             camera = s.Camera(to_world, np.array([-0.1, 0.1, -0.1, 0.1]), orthographic, start, end)
             scene = scenes.build(
-                [scenes.quad()], [(0, scenes.placed((0, 0, 0), 4.0), 0)], [material(s.Shader.EMISSION, emission=1.0)], camera, None, (0, 0, 0), (16, 16)
+                [scenes.quad()],
+                [(0, scenes.placed((0, 0, 0), 4.0), 0)],
+                [material(s.Shader.EMISSION, emission=1.0)],
+                camera,
+                None,
+                (0, 0, 0),
+                (16, 16),
             )
             x = render(scene, 1).mean[..., 0]
             kind = "orthographic" if orthographic else "perspective"
             yield Figure(
-                f"{kind} camera, clip planes at {start:g} m and {end:g} m, a floor at 1 m", "pixels that should be otherwise", float((x != visible).mean()), 0.0
+                f"{kind} camera, clip planes at {start:g} m and {end:g} m, a floor at 1 m",
+                "pixels that should be otherwise",
+                float((x != visible).mean()),
+                0.0,
             )
 
 
@@ -107,7 +131,11 @@ def tiny_films() -> Iterator[Figure]:
         scene = seen_from(still_life().camera, (width, height))
         picture = render(scene, 4)
         result = analyze(scene, CullOptions())
-        bad = float((~np.isfinite(picture.mean)).sum()) + float(picture.mean.shape != (height, width, 4)) + float(not result.active.any())
+        bad = (
+            float((~np.isfinite(picture.mean)).sum())
+            + float(picture.mean.shape != (height, width, 4))
+            + float(not result.active.any())
+        )
         yield Figure(f"a picture of {width} x {height} pixels", "values that are not finite; nothing kept", bad, 0.0)
 
 
@@ -118,9 +146,22 @@ def depth_of_field_extremes() -> Iterator[Figure]:
         for focus in (1e-6, 1e9):
             camera = dataclasses.replace(still_life().camera, aperture=aperture, focus=focus)
             picture = render(seen_from(camera), 4).mean
-            yield Figure(f"aperture {aperture:g} m, focus at {focus:g} m", "pixels that are not finite", float((~np.isfinite(picture)).mean()), 0.0)
-    pinhole, tiny = (render(seen_from(dataclasses.replace(still_life().camera, aperture=a, focus=5.0)), 4).mean for a in (0.0, 1e-9))
-    yield Figure("aperture 1e-9 m, against a pinhole", "pixels that differ by more than 1 %", changed(pinhole, tiny), 0.02, "rays at edges")
+            yield Figure(
+                f"aperture {aperture:g} m, focus at {focus:g} m",
+                "pixels that are not finite",
+                float((~np.isfinite(picture)).mean()),
+                0.0,
+            )
+    pinhole, tiny = (
+        render(seen_from(dataclasses.replace(still_life().camera, aperture=a, focus=5.0)), 4).mean for a in (0.0, 1e-9)
+    )
+    yield Figure(
+        "aperture 1e-9 m, against a pinhole",
+        "pixels that differ by more than 1 %",
+        changed(pinhole, tiny),
+        0.02,
+        "rays at edges",
+    )
 
 
 @case(GROUP)
@@ -131,4 +172,9 @@ def lamps_of_all_kinds_at_the_camera() -> Iterator[Figure]:
         eye = scene.camera.to_world[:, 3]
         lights = lamp(kind, tuple(eye), radius=0.5, visibility=s.ALL_RAYS)  # type: ignore[arg-type]
         picture = render(dataclasses.replace(scene, lights=lights), 4).mean
-        yield Figure(f"camera at the centre of a {kind.name.lower()} lamp", "pixels that are not finite", float((~np.isfinite(picture)).mean()), 0.0)
+        yield Figure(
+            f"camera at the centre of a {kind.name.lower()} lamp",
+            "pixels that are not finite",
+            float((~np.isfinite(picture)).mean()),
+            0.0,
+        )

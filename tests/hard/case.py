@@ -1,4 +1,5 @@
-"""What a hard case is: a function that measures something with a known answer or an invariant, and says how far off it is.
+"""What a hard case is: a function that measures something with a known answer or an invariant, and says how far off it
+is.
 
 The tests run every case that is quick; `scripts/dev/accuracy.py` runs all of them and writes docs/accuracy.md.
 """
@@ -13,8 +14,9 @@ from dataclasses import dataclass
 class Figure:
     """One row of the table.
 
-    stressed: what is stressed. measure: what the figure is. limit: the case holds where figure <= limit (false for NaN). why: where the limit comes from,
-    or what is not supported beyond it. before: the same figure in the same run with the remedy left out, where there is one that can be.
+    stressed: what is stressed. measure: what the figure is. limit: the case holds where figure <= limit (false for
+    NaN). why: where the limit comes from, or what is not supported beyond it. before: the same figure in the same run
+    with the remedy left out, where there is one that can be.
     """
 
     stressed: str

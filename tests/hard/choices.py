@@ -1,4 +1,5 @@
-"""Where a random scene takes its choices from: a seed, for recorded runs, or Hypothesis, which makes what fails small."""
+"""Where a random scene takes its choices from: a seed, for recorded runs, or Hypothesis, which makes what fails
+small."""
 
 from __future__ import annotations
 

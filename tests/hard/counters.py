@@ -20,8 +20,11 @@ from .places import still_life
 GROUP = "Counters"
 
 
-def counted(start: int, threads: int = 2, first: tuple[int, ...] = (0,), samples: int = 4) -> tuple[Feedback, np.ndarray]:
-    """Feedback of the still life, every counter preset to start; the samples are traced in as many calls as `first` has numbers."""
+def counted(
+    start: int, threads: int = 2, first: tuple[int, ...] = (0,), samples: int = 4
+) -> tuple[Feedback, np.ndarray]:
+    """Feedback of the still life, every counter preset to start; the samples are traced in as many calls as `first` has
+    numbers."""
     scene = still_life()
     blas = BlasCache(scene.meshes)
     blas.need(scene.instances.mesh)
@@ -40,7 +43,12 @@ def counted(start: int, threads: int = 2, first: tuple[int, ...] = (0,), samples
 def difference(a: Feedback, b: Feedback, offset: int) -> float:
     """Counters of b that are not those of a plus an offset."""
     assert a.weights is not None and b.weights is not None
-    pairs = ((a.hits, b.hits), (a.boxes, b.boxes), (a.weights.light, b.weights.light), (a.weights.total, b.weights.total))
+    pairs = (
+        (a.hits, b.hits),
+        (a.boxes, b.boxes),
+        (a.weights.light, b.weights.light),
+        (a.weights.total, b.weights.total),
+    )
     return float(sum((y - x != offset).sum() for x, y in pairs))
 
 
@@ -51,7 +59,12 @@ def large_counts() -> Iterator[Figure]:
     for exponent in (33, 62):
         feedback, _ = counted(2**exponent)
         what = f"hits, box crossings and weights preset to 2^{exponent}"
-        yield Figure(what, f"counters that are not 2^{exponent} more than from zero", difference(reference, feedback, 2**exponent), 0.0)
+        yield Figure(
+            what,
+            f"counters that are not 2^{exponent} more than from zero",
+            difference(reference, feedback, 2**exponent),
+            0.0,
+        )
 
 
 @case(GROUP)
@@ -79,13 +92,21 @@ def overflowing_weights() -> Figure:
     trace(prepare(scene, blas), tlas, 16, feedback=feedback, strategy=path_state.BOTH)
     relative = weights.relative()
     assert relative.shape == (len(tlas), TILES)
-    bad = (weights.light < 0).sum() + (weights.total < 0).sum() + (~np.isfinite(relative)).sum() + (weights.total == 0).all()
-    return Figure("a picture 10^39 times as bright as expected", "weights that are negative or not finite", float(bad), 0.0)
+    bad = (
+        (weights.light < 0).sum()
+        + (weights.total < 0).sum()
+        + (~np.isfinite(relative)).sum()
+        + (weights.total == 0).all()
+    )
+    return Figure(
+        "a picture 10^39 times as bright as expected", "weights that are negative or not finite", float(bad), 0.0
+    )
 
 
 @case(GROUP)
 def on_the_threshold() -> Figure:
-    """What exactly a share of the paths meets is kept, and one less is not: all shares k / n with k < n <= 200, read from 15 decimals as a user writes them."""
+    """What exactly a share of the paths meets is kept, and one less is not: all shares k / n with k < n <= 200, read
+    from 15 decimals as a user writes them."""
     wrong = products = count = 0
     for n in range(1, 201):
         k = np.arange(1, n)
@@ -95,5 +116,10 @@ def on_the_threshold() -> Figure:
         products += int((k < share * n)[exact].sum())
         count += int(exact.sum())
     return Figure(
-        f"an instance met by exactly --min-share of the paths, {count:,} shares", "wrong states", float(wrong), 0.0, "before: share x paths", products
+        f"an instance met by exactly --min-share of the paths, {count:,} shares",
+        "wrong states",
+        float(wrong),
+        0.0,
+        "before: share x paths",
+        products,
     )

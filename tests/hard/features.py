@@ -1,4 +1,5 @@
-"""What people's files have in them, beside meshes: a function of each feature adds it to a scene in view of a camera that looks along +Y from (0, 0, 2)."""
+"""What people's files have in them, beside meshes: a function of each feature adds it to a scene in view of a camera
+that looks along +Y from (0, 0, 2)."""
 
 from __future__ import annotations
 
@@ -44,7 +45,11 @@ def put(choose: Seeded, data: Any, size: float = 0.7, collection: Any = None) ->
     ob = bpy.data.objects.new(data.name if data else "empty", data)
     (collection or bpy.context.scene.collection).objects.link(ob)
     rng = choose.numbers()
-    ob.location, ob.rotation_euler, ob.scale = (rng.uniform(-2, 2), rng.uniform(4, 9), rng.uniform(0.3, 2)), rng.uniform(-3, 3, 3), (size,) * 3
+    ob.location, ob.rotation_euler, ob.scale = (
+        (rng.uniform(-2, 2), rng.uniform(4, 9), rng.uniform(0.3, 2)),
+        rng.uniform(-3, 3, 3),
+        (size,) * 3,
+    )
     return ob
 
 
@@ -59,7 +64,8 @@ def group(choose: Seeded, scene: bpy.types.Scene, count: int = 3, linked: bool =
 
 
 def tree(ob: bpy.types.Object, *names: str) -> tuple[Any, list[Any]]:
-    """Geometry nodes on an object: its geometry, through a chain of nodes whose first sockets are geometry. Returns the tree and the nodes."""
+    """Geometry nodes on an object: its geometry, through a chain of nodes whose first sockets are geometry. Returns the
+    tree and the nodes."""
     made = bpy.data.node_groups.new("nodes", "GeometryNodeTree")
     for side in ("INPUT", "OUTPUT"):
         made.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
@@ -288,7 +294,11 @@ def scatter(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     """Geometry nodes that scatter, with ids or without, coloured at random by them, nested or realized."""
     host = put(choose, body(choose, "ball", "cube"), 1.5)
     names = [choose.one(("GeometryNodeMeshToPoints", "GeometryNodeDistributePointsOnFaces"))]
-    names += ["GeometryNodeSetID"] * choose.integer(0, 1) + ["GeometryNodeInstanceOnPoints"] + ["GeometryNodeRealizeInstances"] * choose.rarely()
+    names += (
+        ["GeometryNodeSetID"] * choose.integer(0, 1)
+        + ["GeometryNodeInstanceOnPoints"]
+        + ["GeometryNodeRealizeInstances"] * choose.rarely()
+    )
     made, nodes = tree(host, *names)
     if names[0].endswith("Faces"):
         nodes[0].inputs["Density"].default_value = choose.one((5.0, 30.0))
@@ -396,7 +406,16 @@ def visibility(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     """Seen by some kinds of rays alone; held out, shadow catchers, hidden ones; also what was there before."""
     for ob in [*(put(choose, body(choose)) for _ in range(4)), choose.one(hosts(scene))]:
         name = choose.one(
-            ("visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission", "visible_shadow", "is_holdout", "is_shadow_catcher", "hide_render")
+            (
+                "visible_camera",
+                "visible_diffuse",
+                "visible_glossy",
+                "visible_transmission",
+                "visible_shadow",
+                "is_holdout",
+                "is_shadow_catcher",
+                "hide_render",
+            )
         )
         setattr(ob, name, not getattr(ob, name))
     scene.render.film_transparent = bool(choose.integer(0, 1))
@@ -460,7 +479,10 @@ def displacement(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     ob.data.materials.append(made)
     made.displacement_method = choose.one(("DISPLACEMENT", "BOTH", "BUMP"))
     nodes, links = made.node_tree.nodes, made.node_tree.links
-    move, height = nodes.new("ShaderNodeDisplacement"), nodes.new(choose.one(("ShaderNodeTexNoise", "ShaderNodeTexWave", "ShaderNodeTexVoronoi")))
+    move, height = (
+        nodes.new("ShaderNodeDisplacement"),
+        nodes.new(choose.one(("ShaderNodeTexNoise", "ShaderNodeTexWave", "ShaderNodeTexVoronoi"))),
+    )
     move.inputs["Scale"].default_value = choose.one((0.3, -1.5, 2.0))
     links.new(height.outputs[0], move.inputs["Height"])
     links.new(move.outputs[0], nodes["Material Output"].inputs["Displacement"])
@@ -483,10 +505,19 @@ def materials(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
         elif kind == "nothing":
             nodes.clear()
         elif kind == "other":
-            names = ("ShaderNodeBsdfHairPrincipled", "ShaderNodeBsdfToon", "ShaderNodeBsdfSheen", "ShaderNodeSubsurfaceScattering", "ShaderNodeBsdfGlass")
+            names = (
+                "ShaderNodeBsdfHairPrincipled",
+                "ShaderNodeBsdfToon",
+                "ShaderNodeBsdfSheen",
+                "ShaderNodeSubsurfaceScattering",
+                "ShaderNodeBsdfGlass",
+            )
             links.new(nodes.new(choose.one(names)).outputs[0], output.inputs[0])
         else:
-            mix, by = nodes.new("ShaderNodeMixShader"), choose.one(("LightPath", "NewGeometry", "LayerWeight", "TexNoise"))
+            mix, by = (
+                nodes.new("ShaderNodeMixShader"),
+                choose.one(("LightPath", "NewGeometry", "LayerWeight", "TexNoise")),
+            )
             source = nodes.new(f"ShaderNode{by}")
             links.new(source.outputs[choose.integer(0, len(source.outputs) - 1)], mix.inputs[0])
             links.new(first.outputs[0], mix.inputs[1])
@@ -530,7 +561,10 @@ def drivers(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
             variable.targets[0].id_type = "SCENE"
             variable.targets[0].id, variable.targets[0].data_path = scene, "frame_current"
         else:
-            variable.targets[0].id, variable.targets[0].data_path = leader, choose.one(("hide_render", "location.z", "scale.x"))
+            variable.targets[0].id, variable.targets[0].data_path = (
+                leader,
+                choose.one(("hide_render", "location.z", "scale.x")),
+            )
         driver.expression = choose.one(("x", "1 - x", "x + frame * 0.01", "__import__('os').getpid() and x"))
 
 
@@ -591,7 +625,12 @@ def libraries(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     how = choose.one(("instance", "scene", "override", "lost", "object"))
     if how in ("instance", "lost"):
         ob = put(choose, None, 1.0)
-        ob.location, ob.rotation_euler, ob.instance_type, ob.instance_collection = (0, 0, 0), (0, 0, 0), "COLLECTION", linked
+        ob.location, ob.rotation_euler, ob.instance_type, ob.instance_collection = (
+            (0, 0, 0),
+            (0, 0, 0),
+            "COLLECTION",
+            linked,
+        )
     elif how == "object":
         scene.collection.objects.link(linked.objects[0])
     else:
@@ -665,7 +704,9 @@ def formats(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
             continue
     for name in ("color_mode", "color_depth"):
         try:
-            setattr(settings, name, choose.one([item.identifier for item in settings.bl_rna.properties[name].enum_items]))
+            setattr(
+                settings, name, choose.one([item.identifier for item in settings.bl_rna.properties[name].enum_items])
+            )
         except TypeError:
             continue
     scene.render.filepath = choose.one(("", "//", "/nowhere/at/all/#", "//../x"))
@@ -694,7 +735,14 @@ def freestyle(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
 def passes(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     """Passes, cryptomattes, outputs of materials; denoising and adaptive sampling."""
     layer = scene.view_layers[0]
-    for name in ("use_pass_z", "use_pass_mist", "use_pass_normal", "use_pass_vector", "use_pass_cryptomatte_object", "use_pass_object_index"):
+    for name in (
+        "use_pass_z",
+        "use_pass_mist",
+        "use_pass_normal",
+        "use_pass_vector",
+        "use_pass_cryptomatte_object",
+        "use_pass_object_index",
+    ):
         setattr(layer, name, bool(choose.integer(0, 1)))
     layer.aovs.add().name = "own"
     scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = choose.rarely(), bool(choose.integer(0, 1))
@@ -706,7 +754,11 @@ def cameras(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     data, render = scene.camera.data, scene.render
     kind = choose.one(("dof", "ortho", "clip", "shift", "scale", "pixels", "region", "sensor"))
     if kind == "dof":
-        data.dof.use_dof, data.dof.aperture_fstop, data.dof.focus_distance = True, choose.one((0.1, 2.8)), choose.one((0.3, 6.0))
+        data.dof.use_dof, data.dof.aperture_fstop, data.dof.focus_distance = (
+            True,
+            choose.one((0.1, 2.8)),
+            choose.one((0.3, 6.0)),
+        )
     elif kind == "ortho":
         data.type, data.ortho_scale = "ORTHO", 6.0
     elif kind == "clip":
@@ -718,7 +770,12 @@ def cameras(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     elif kind == "pixels":
         render.pixel_aspect_x, render.resolution_percentage = choose.one((0.5, 2.0)), choose.one((50, 100))
     elif kind == "region":
-        render.use_border, render.border_min_x, render.border_max_x, render.use_crop_to_border = True, 0.3, 0.6, bool(choose.integer(0, 1))
+        render.use_border, render.border_min_x, render.border_max_x, render.use_crop_to_border = (
+            True,
+            0.3,
+            0.6,
+            bool(choose.integer(0, 1)),
+        )
     else:
         data.sensor_fit, data.sensor_height = choose.one(("VERTICAL", "HORIZONTAL", "AUTO")), choose.one((10.0, 40.0))
 

@@ -1,4 +1,5 @@
-"""Small files after public reports and strangers' files, by the real commands, each with the value that is right: `../shared/cases/README.md` lists them."""
+"""Small files after public reports and strangers' files, by the real commands, each with the value that is right:
+`../shared/cases/README.md` lists them."""
 
 from __future__ import annotations
 
@@ -54,17 +55,33 @@ class Rendered:
 
 
 def rendered(name: str, *options: str, size: str = "128x72", samples: int = 16, apart: bool = False) -> Rendered:
-    """Render a file by the command. apart: in a process of its own, which may crash. Raises AssertionError where it does not end with status 0."""
+    """Render a file by the command. apart: in a process of its own, which may crash. Raises AssertionError where it
+    does not end with status 0."""
     with tempfile.TemporaryDirectory() as folder:
-        arguments = ["render", str(FIELD / f"{name}.blend"), "-o", folder, "--resolution", size, "--samples", str(samples), "--quiet", *options]
+        arguments = [
+            "render",
+            str(FIELD / f"{name}.blend"),
+            "-o",
+            folder,
+            "--resolution",
+            size,
+            "--samples",
+            str(samples),
+            "--quiet",
+            *options,
+        ]
         if apart:
-            status = subprocess.run([sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=subprocess.DEVNULL, check=False).returncode
+            status = subprocess.run(
+                [sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=subprocess.DEVNULL, check=False
+            ).returncode
         else:
             with redirect_stdout(io.StringIO()):
                 status = main(arguments)
         assert status == 0, f"{name}: status {status}"
         report = json.loads((Path(folder) / "report.json").read_text())
-        return Rendered(report, load_states(next(Path(folder).glob("states/*.npz"))), read_picture(next(Path(folder).glob("*.exr"))))
+        return Rendered(
+            report, load_states(next(Path(folder).glob("states/*.npz"))), read_picture(next(Path(folder).glob("*.exr")))
+        )
 
 
 def changes(what: str, culled: Rendered, full: Rendered, why: str = "") -> Iterator[Figure]:
@@ -74,12 +91,17 @@ def changes(what: str, culled: Rendered, full: Rendered, why: str = "") -> Itera
     yield Figure(what, "change of the picture, worst tile", worst, WORST)
 
 
-def compared(name: str, what: str, why: str, most: int, size: str = "128x72", samples: int = 16) -> Iterator[Figure | Rendered]:
-    """The file, culled, against the whole of it. most: how many instances may stay. The last thing is what was culled, for more to be asked of it."""
+def compared(
+    name: str, what: str, why: str, most: int, size: str = "128x72", samples: int = 16
+) -> Iterator[Figure | Rendered]:
+    """The file, culled, against the whole of it. most: how many instances may stay. The last thing is what was culled,
+    for more to be asked of it."""
     options = {"size": size, "samples": samples}
     culled, full = rendered(name, **options), rendered(name, "--cull", "none", **options)  # type: ignore[arg-type]
     yield from changes(f"{name}: {what}", culled, full, why)
-    yield Figure(f"{name}: {what}", f"kept, of {full.frame['instances']:,}", culled.frame["active"], most, "what culling is for")
+    yield Figure(
+        f"{name}: {what}", f"kept, of {full.frame['instances']:,}", culled.frame["active"], most, "what culling is for"
+    )
     yield culled
 
 
@@ -114,10 +136,14 @@ def settings() -> Iterator[Figure]:
     ):
         culled = rendered(name, apart=name == "freestyle")
         full = rendered(name, "--cull", "none", apart=name == "freestyle")
-        yield Figure(f"{name}: {what}", "instances that are missing", abs(64 - culled.frame["instances"]), 0, f"before: {was}")
+        yield Figure(
+            f"{name}: {what}", "instances that are missing", abs(64 - culled.frame["instances"]), 0, f"before: {was}"
+        )
         yield from changes(f"{name}: {what}", culled, full)
         if name == "freestyle":
-            yield Figure(f"{name}: {what}", "not said: lines of what is culled", culled.says("approximated", "Freestyle"), 0)
+            yield Figure(
+                f"{name}: {what}", "not said: lines of what is culled", culled.says("approximated", "Freestyle"), 0
+            )
 
 
 @case(GROUP)
@@ -125,7 +151,13 @@ def points_only() -> Iterator[Figure]:
     """What light paths cannot be traced in is rendered, and that is said."""
     culled, full = rendered("points_only"), rendered("points_only", "--cull", "none")
     what = "points_only: only a point cloud"
-    yield Figure(what, "pixels that differ in any bit", float((culled.picture != full.picture).any(axis=-1).mean()), 0, "before: refused")
+    yield Figure(
+        what,
+        "pixels that differ in any bit",
+        float((culled.picture != full.picture).any(axis=-1).mean()),
+        0,
+        "before: refused",
+    )
     yield Figure(what, "not said: all is rendered", culled.says("warnings", "all is rendered"), 0)
 
 
@@ -135,8 +167,15 @@ def two_view_layers() -> Iterator[Figure]:
     what = "two view layers, the second without what stands before"
     for found in compared("r_viewlayers", what, "before: what only the second shows was culled, 79 to 86 %", 60):
         if isinstance(found, Rendered):
-            yield Figure(f"r_viewlayers: {what}", "culled of what either shows", found.lacks("Wall", *(f"item{k}" for k in range(7))), 0)
-            yield Figure(f"r_viewlayers: {what}", "view layers that were not analysed", 2 - found.frame["view_layers"], 0)
+            yield Figure(
+                f"r_viewlayers: {what}",
+                "culled of what either shows",
+                found.lacks("Wall", *(f"item{k}" for k in range(7))),
+                0,
+            )
+            yield Figure(
+                f"r_viewlayers: {what}", "view layers that were not analysed", 2 - found.frame["view_layers"], 0
+            )
         else:
             yield found
 
@@ -144,29 +183,55 @@ def two_view_layers() -> Iterator[Figure]:
 @case(GROUP)
 def seen_through() -> Iterator[Figure]:
     """What shows through, or moves into view, stays: some 300 instances are behind the camera, or hidden."""
-    yield from figures(compared("t_camwall", "wall of Mix(Is Camera Ray, Diffuse, Transparent)", "before: 137 / 529 %", 60))
-    yield from figures(compared("t_backface", "cutaway room, Mix(Backfacing, Diffuse, Transparent)", "before: 14 / 112 %", 60))
+    yield from figures(
+        compared("t_camwall", "wall of Mix(Is Camera Ray, Diffuse, Transparent)", "before: 137 / 529 %", 60)
+    )
+    yield from figures(
+        compared("t_backface", "cutaway room, Mix(Backfacing, Diffuse, Transparent)", "before: 14 / 112 %", 60)
+    )
     yield from figures(compared("t_whip", "fast pan with motion blur", "before: 5 / 34 %", 60))
     for name, what, why, most, said in (
         ("t_cloudbox", "a box with a volume shader only", "before: 9 / 215 %", 60, "volume not rendered"),
         ("t_crater", "true displacement downwards", "before: 4 / 181 %", 400, "displacement taken for two surfaces"),
     ):
         for found in compared(name, what, why, most):
-            yield found if isinstance(found, Figure) else Figure(f"{name}: {what}", f"not said: {said}", found.says("approximated", said), 0)
+            yield (
+                found
+                if isinstance(found, Figure)
+                else Figure(f"{name}: {what}", f"not said: {said}", found.says("approximated", said), 0)
+            )
 
 
 @case(GROUP)
 def read_by_others() -> Iterator[Figure]:
     """What a driver, or particles, read of an object that is culled: it is left alone, and that is said."""
     for name, what, was, said in (
-        ("h_driver_parent", "hide_render driven by that of a controller", "before: 10 / 260 %", "a driver reads whether its object renders"),
+        (
+            "h_driver_parent",
+            "hide_render driven by that of a controller",
+            "before: 10 / 260 %",
+            "a driver reads whether its object renders",
+        ),
         ("h_metaparticles", "hair particles that instance a metaball", "before: 2.5 / 27 %", "metaballs"),
     ):
         for found in compared(name, what, was, 60):
-            yield found if isinstance(found, Figure) else Figure(f"{name}: {what}", f"not said: {said}", found.says("warnings", said), 0)
+            yield (
+                found
+                if isinstance(found, Figure)
+                else Figure(f"{name}: {what}", f"not said: {said}", found.says("warnings", said), 0)
+            )
 
 
 @case(GROUP)
 def scatter_of_posts() -> Iterator[Figure]:
     """None of them matters alone. Small: what an analysis of so many costs grows with the picture."""
-    yield from figures(compared("r_scatter_origin", "80,002 thin posts at eye height", "before: 4 / 32 %, where 0.86 / 5 % were said", 60_000, "64x36", 64))
+    yield from figures(
+        compared(
+            "r_scatter_origin",
+            "80,002 thin posts at eye height",
+            "before: 4 / 32 %, where 0.86 / 5 % were said",
+            60_000,
+            "64x36",
+            64,
+        )
+    )

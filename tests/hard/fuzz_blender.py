@@ -22,7 +22,8 @@ NONSENSE = (0.0, 1e-20, 1e30, float("nan"), float("inf"))
 
 
 def build(choose: Seeded) -> None:
-    """A new file: up to ten objects with modifiers, instancing, odd transforms, materials and animation; lamps, a world, a camera."""
+    """A new file: up to ten objects with modifiers, instancing, odd transforms, materials and animation; lamps, a
+    world, a camera."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene, rng = bpy.context.scene, choose.numbers()
     scale = 10.0 ** choose.integer(-2, 3)
@@ -34,7 +35,11 @@ def build(choose: Seeded) -> None:
             for _ in range(choose.integer(0, 2) if materials else 0):
                 data.materials.append(choose.one(materials))
         item = bpy.data.objects.new(f"object {k}", data)
-        (choose.one(list(bpy.data.collections)) if len(bpy.data.collections) and choose.integer(0, 1) else scene.collection).objects.link(item)
+        (
+            choose.one(list(bpy.data.collections))
+            if len(bpy.data.collections) and choose.integer(0, 1)
+            else scene.collection
+        ).objects.link(item)
         item.location, item.rotation_euler = rng.uniform(-3, 3, 3) * scale, rng.uniform(-3, 3, 3)
         item.scale = 10 ** rng.uniform(-0.5, 0.5, 3) * rng.choice([1, 1, 1, -1], 3)
         if choose.rarely():
@@ -51,7 +56,11 @@ def build(choose: Seeded) -> None:
             _modify(choose, item)
         elif data is None and len(bpy.data.collections):
             item.instance_type, item.instance_collection = "COLLECTION", choose.one(list(bpy.data.collections))
-        item.hide_render, item.visible_camera, item.visible_shadow = choose.rarely(), not choose.rarely(), not choose.rarely()
+        item.hide_render, item.visible_camera, item.visible_shadow = (
+            choose.rarely(),
+            not choose.rarely(),
+            not choose.rarely(),
+        )
         made.append(item)
         if choose.integer(0, 3) == 3:
             group = bpy.data.collections.new(f"collection {k}")
@@ -108,7 +117,11 @@ def _data(choose: Seeded, k: int, scale: float) -> Any:
     edges = [(0, 1)] if count > 1 and choose.rarely() else []
     if kind == 4:
         corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-        points, faces, edges = np.array(corners) * scale / 2, [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)], []
+        points, faces, edges = (
+            np.array(corners) * scale / 2,
+            [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)],
+            [],
+        )
     mesh.from_pydata(points.tolist(), edges, faces)
     if choose.integer(0, 1):
         mesh.shade_smooth()
@@ -117,7 +130,22 @@ def _data(choose: Seeded, k: int, scale: float) -> Any:
 
 def _modify(choose: Seeded, item: Any) -> None:
     for _ in range(choose.integer(0, 2)):
-        kind = choose.one(("SUBSURF", "ARRAY", "MIRROR", "SOLIDIFY", "DECIMATE", "BEVEL", "WAVE", "TRIANGULATE", "WELD", "CAST", "BUILD", "WIREFRAME"))
+        kind = choose.one(
+            (
+                "SUBSURF",
+                "ARRAY",
+                "MIRROR",
+                "SOLIDIFY",
+                "DECIMATE",
+                "BEVEL",
+                "WAVE",
+                "TRIANGULATE",
+                "WELD",
+                "CAST",
+                "BUILD",
+                "WIREFRAME",
+            )
+        )
         modifier = item.modifiers.new(kind, kind)
         if kind == "SUBSURF":
             modifier.render_levels = choose.integer(0, 2)
@@ -134,11 +162,20 @@ def _scatter(choose: Seeded, host: Any, source: Any) -> None:
         tree.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
     new, link = tree.nodes.new, tree.links.new
     start, end, points, info, instances = (
-        new(f"{name}") for name in ("NodeGroupInput", "NodeGroupOutput", "GeometryNodeMeshToPoints", "GeometryNodeObjectInfo", "GeometryNodeInstanceOnPoints")
+        new(f"{name}")
+        for name in (
+            "NodeGroupInput",
+            "NodeGroupOutput",
+            "GeometryNodeMeshToPoints",
+            "GeometryNodeObjectInfo",
+            "GeometryNodeInstanceOnPoints",
+        )
     )
     info.inputs["Object"].default_value = source
     info.inputs["As Instance"].default_value = bool(choose.integer(0, 1))
-    instances.inputs["Scale"].default_value = choose.one(((0.3, 0.3, 0.3), (0.3, -0.2, 0.1), (0.0, 0.3, 0.3), (0.3, 1e-8, 0.3)))
+    instances.inputs["Scale"].default_value = choose.one(
+        ((0.3, 0.3, 0.3), (0.3, -0.2, 0.1), (0.0, 0.3, 0.3), (0.3, 1e-8, 0.3))
+    )
     link(start.outputs[0], points.inputs[0])
     link(points.outputs[0], instances.inputs["Points"])
     link(info.outputs["Geometry"], instances.inputs["Instance"])
@@ -159,7 +196,10 @@ def _material(choose: Seeded, k: int) -> Any:
         return material
     tree.nodes.clear()
     names = {"Emission": "ShaderNodeEmission", "Holdout": "ShaderNodeHoldout"}
-    shader, output = tree.nodes.new(names.get(kind, f"ShaderNodeBsdf{kind}")), tree.nodes.new("ShaderNodeOutputMaterial")
+    shader, output = (
+        tree.nodes.new(names.get(kind, f"ShaderNodeBsdf{kind}")),
+        tree.nodes.new("ShaderNodeOutputMaterial"),
+    )
     tree.links.new(shader.outputs[0], output.inputs[0])
     if "Strength" in shader.inputs:
         shader.inputs["Strength"].default_value = 10.0 ** choose.integer(-12, 12)
@@ -167,7 +207,8 @@ def _material(choose: Seeded, k: int) -> Any:
 
 
 def snapshot() -> dict[str, Any]:
-    """What of the file write-back may touch: which data there is, and the plain properties of objects, collections, modifiers and scenes."""
+    """What of the file write-back may touch: which data there is, and the plain properties of objects, collections,
+    modifiers and scenes."""
     kept: dict[str, Any] = {
         name: sorted(item.name_full for item in getattr(bpy.data, name))
         for name in ("objects", "collections", "meshes", "node_groups", "attributes")
@@ -185,6 +226,7 @@ def snapshot() -> dict[str, Any]:
 
 
 def _plain(thing: Any) -> dict[str, str]:
+    # of what is evaluated, not of the data
     skipped = {
         "session_uid",
         "is_updated",
@@ -193,8 +235,12 @@ def _plain(thing: Any) -> dict[str, str]:
         "dimensions",
         "matrix_world",
         "matrix_local",
-    }  # of what is evaluated, not of the data
-    return {p.identifier: _text(thing, p) for p in thing.bl_rna.properties if p.identifier not in skipped and p.type not in ("COLLECTION", "POINTER")}
+    }
+    return {
+        p.identifier: _text(thing, p)
+        for p in thing.bl_rna.properties
+        if p.identifier not in skipped and p.type not in ("COLLECTION", "POINTER")
+    }
 
 
 def _text(thing: Any, prop: Any) -> str:

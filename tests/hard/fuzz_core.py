@@ -20,7 +20,7 @@ from lipac.core.scene import model as s
 from lipac.core.scene.camera import camera_constants, camera_ray
 from lipac.core.scene.film import filter_offset, filter_offsets
 from lipac.core.scene.placing import LARGEST
-from lipac.core.tracing.path_kernel import _FILTER, _LENS
+from lipac.core.tracing.tile_kernel import _FILTER, _LENS
 from lipac.core.tracing.tracer import Prepared, prepare, trace
 
 from ..core import scenes
@@ -40,7 +40,9 @@ def random_scene(choose: Seeded) -> s.Scene:
     placement: list[tuple[int, np.ndarray, int]] = []
     for _ in range(choose.integer(1, 16)):
         transform = np.zeros((3, 4))
-        transform[:, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * 10 ** rng.uniform(-1, 0.3, 3) * rng.choice([1, 1, 1, -1], 3)
+        transform[:, :3] = (
+            np.linalg.qr(rng.normal(size=(3, 3)))[0] * 10 ** rng.uniform(-1, 0.3, 3) * rng.choice([1, 1, 1, -1], 3)
+        )
         transform[:, 3] = rng.uniform(-3, 3, 3)
         transform *= scale
         if choose.rarely():
@@ -53,9 +55,13 @@ def random_scene(choose: Seeded) -> s.Scene:
     if choose.rarely():
         camera = dataclasses.replace(camera, frame=camera.frame * 4 * scale, orthographic=True)
     if choose.rarely():
-        camera = dataclasses.replace(camera, clip_start=scale, clip_end=6 * scale, aperture=0.1 * scale, focus=3 * scale)
+        camera = dataclasses.replace(
+            camera, clip_start=scale, clip_end=6 * scale, aperture=0.1 * scale, focus=3 * scale
+        )
     lights = [_lamp(choose, scale) for _ in range(choose.integer(0, 3))]
-    flags = rng.choice([s.ALL_RAYS, s.ALL_RAYS, s.ALL_RAYS & ~1, 1, s.ALL_RAYS | s.InstanceFlag.HOLDOUT], len(placement)).astype(np.uint8)
+    flags = rng.choice(
+        [s.ALL_RAYS, s.ALL_RAYS, s.ALL_RAYS & ~1, 1, s.ALL_RAYS | s.InstanceFlag.HOLDOUT], len(placement)
+    ).astype(np.uint8)
     with np.errstate(all="ignore"):
         scene = scenes.build(
             meshes,
@@ -81,7 +87,11 @@ def _mesh(choose: Seeded) -> s.Mesh:
         return scenes.quad()
     if kind == 2:
         ball = scenes.sphere(choose.integer(2, 12))
-        return dataclasses.replace(ball, normals=np.ascontiguousarray(ball.positions[ball.triangles])) if choose.integer(0, 1) else ball
+        return (
+            dataclasses.replace(ball, normals=np.ascontiguousarray(ball.positions[ball.triangles]))
+            if choose.integer(0, 1)
+            else ball
+        )
     rng = choose.numbers()
     positions = rng.normal(size=(choose.integer(3, 30), 3)).astype(np.float32) * 0.5
     triangles = rng.integers(0, len(positions), (choose.integer(1, 40), 3)).astype(np.uint32)  # some without area
@@ -92,13 +102,23 @@ def _mesh(choose: Seeded) -> s.Mesh:
     return s.Mesh(positions, triangles)
 
 
-SIMPLE = [shader for shader in s.Shader if shader < s.Shader.MIX]  # a composed one has parts: with itself among them a path would never end
+# a composed one has parts: with itself among them a path would never end
+SIMPLE = [shader for shader in s.Shader if shader < s.Shader.MIX]
 
 
 def _material(choose: Seeded) -> s.Records:
     rng = choose.numbers()
-    m = material(choose.one(SIMPLE), base_color=rng.random(3), roughness=choose.one((0.0, 1e-4, 0.3, 1.0)), metallic=choose.one((0.0, 1.0, 0.5)))
-    m["ior"], m["transmission"], m["coat"] = choose.one((1.0, 1.5, 3.0, 0.5)), choose.one((0.0, 1.0, 0.5)), choose.one((0.0, 1.0))
+    m = material(
+        choose.one(SIMPLE),
+        base_color=rng.random(3),
+        roughness=choose.one((0.0, 1e-4, 0.3, 1.0)),
+        metallic=choose.one((0.0, 1.0, 0.5)),
+    )
+    m["ior"], m["transmission"], m["coat"] = (
+        choose.one((1.0, 1.5, 3.0, 0.5)),
+        choose.one((0.0, 1.0, 0.5)),
+        choose.one((0.0, 1.0)),
+    )
     m["alpha"] = choose.one((1.0, 1.0, 0.0, 0.5))
     if choose.integer(0, 3) == 3 or m["shader"] == s.Shader.EMISSION:
         m["emission"] = rng.random(3) * 10.0 ** choose.integer(-12, 12)
@@ -108,7 +128,11 @@ def _material(choose: Seeded) -> s.Records:
 
 def _lamp(choose: Seeded, scale: float) -> s.Records:
     rng = choose.numbers()
-    light = lamp(choose.one(list(s.LightKind)), tuple(rng.uniform(-3, 3, 3) * scale), power=rng.random(3) * 10.0 ** choose.integer(-12, 12))  # type: ignore[arg-type]
+    light = lamp(
+        choose.one(list(s.LightKind)),
+        tuple(rng.uniform(-3, 3, 3) * scale),
+        power=rng.random(3) * 10.0 ** choose.integer(-12, 12),
+    )  # type: ignore[arg-type]
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     light["axis_x"], light["axis_y"], light["axis_z"] = turn.T
@@ -130,7 +154,10 @@ def _image(choose: Seeded) -> np.ndarray:
 def existing(scene: s.Scene) -> np.ndarray:
     """(N,) bool: instances whose coordinates are numbers that Embree takes."""
     with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(scene.instances.bounds) <= LARGEST).all(axis=(1, 2)) & np.isfinite(scene.instances.transform).all(axis=(1, 2)))
+        return np.asarray(
+            (np.abs(scene.instances.bounds) <= LARGEST).all(axis=(1, 2))
+            & np.isfinite(scene.instances.transform).all(axis=(1, 2))
+        )
 
 
 def check(scene: s.Scene, seed: int = 0) -> None:
@@ -172,11 +199,15 @@ def first_rays(scene: s.Scene, seed: int) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def check_first_hits(scene: s.Scene, exist: np.ndarray, hits: np.ndarray, seed: int) -> None:
-    """Camera hits against every ray with every triangle, in float64. Rays that pass an edge, or two surfaces, within float32's doubt may go either way."""
-    passes = (scene.materials["shader"] == s.Shader.TRANSPARENT) | ((scene.materials["shader"] == s.Shader.PRINCIPLED) & (scene.materials["alpha"] < 1))
+    """Camera hits against every ray with every triangle, in float64. Rays that pass an edge, or two surfaces, within
+    float32's doubt may go either way."""
+    passes = (scene.materials["shader"] == s.Shader.TRANSPARENT) | (
+        (scene.materials["shader"] == s.Shader.PRINCIPLED) & (scene.materials["alpha"] < 1)
+    )
     if passes.any():
         return  # what lies behind counts as well
-    sound = np.abs(scene.instances.transform).max(axis=(1, 2)) <= LARGEST  # beyond, which extraction leaves out, float32 has no inverse
+    # beyond, which extraction leaves out, float32 has no inverse
+    sound = np.abs(scene.instances.transform).max(axis=(1, 2)) <= LARGEST
     seen = np.flatnonzero(exist & sound & (scene.instances.flags & 1 != 0))
     origin, direction, far = first_rays(scene, seed)
     corners, owner = [np.zeros((0, 3, 3))], [np.zeros(0, np.int64)]
@@ -195,30 +226,41 @@ def check_first_hits(scene: s.Scene, exist: np.ndarray, hits: np.ndarray, seed: 
             continue
         first = np.where(near, t, np.inf).argmin()
         close = near & (t <= t[first] + doubt.max(initial=0, where=near))
-        sure = margin[first] > 1e-3 and doubt[first] < t[first] < end - doubt[first] and (owners[close] == owners[first]).all()
+        sure = (
+            margin[first] > 1e-3
+            and doubt[first] < t[first] < end - doubt[first]
+            and (owners[close] == owners[first]).all()
+        )
         doubtful += not sure
         expected[owners[first]] += sure
     got = hits[:, s.RayType.CAMERA]
     assert (got >= expected).all(), f"camera hits {got - expected} more than brute force"
-    assert (got - expected).sum() <= doubtful, f"{(got - expected).sum()} more camera hits than brute force finds, {doubtful} are open"
+    assert (got - expected).sum() <= doubtful, (
+        f"{(got - expected).sum()} more camera hits than brute force finds, {doubtful} are open"
+    )
 
 
 def _meet(triangle: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances of triangles (n, 3, 3), relative to the origin of a ray, along it, and their smallest barycentric coordinate there (negative: outside)."""
+    """Distances of triangles (n, 3, 3), relative to the origin of a ray, along it, and their smallest barycentric
+    coordinate there (negative: outside)."""
     a, b, c = triangle[:, 0], triangle[:, 1], triangle[:, 2]
     normal = np.cross(b - a, c - a)
     with np.errstate(all="ignore"):
         t = np.einsum("ij,ij->i", a, normal) / (normal @ d)
         p = t[:, None] * d
         area = np.einsum("ij,ij->i", normal, normal)
-        parts = [np.einsum("ij,ij->i", np.cross(y - p, z - p), normal) / area for x, y, z in ((a, b, c), (b, c, a), (c, a, b))]
+        parts = [
+            np.einsum("ij,ij->i", np.cross(y - p, z - p), normal) / area
+            for x, y, z in ((a, b, c), (b, c, a), (c, a, b))
+        ]
     margin = np.min(parts, axis=0)
     ok = np.isfinite(t) & np.isfinite(margin)
     return np.where(ok, t, np.inf), np.where(ok, margin, -np.inf)
 
 
 def check_boxes(scene: s.Scene, some: np.ndarray, seed: int) -> None:
-    """Boxes that the camera rays cross in an otherwise empty scene, against the slab test of every pair: exactly equal."""
+    """Boxes that the camera rays cross in an otherwise empty scene, against the slab test of every pair: exactly
+    equal."""
     bounds = scene.instances.bounds[some]
     empty = BlasCache(scene.meshes)
     tlas = Tlas(scene.instances, empty, np.zeros(len(scene.instances), bool))
@@ -234,17 +276,24 @@ def check_boxes(scene: s.Scene, some: np.ndarray, seed: int) -> None:
 
 
 def check_states(scene: s.Scene, exist: np.ndarray, prepared: Prepared, sums: np.ndarray, seed: int) -> None:
-    """`none` keeps everything and renders the reference; light paths decide the same at any number of threads, by budget or by counts."""
+    """`none` keeps everything and renders the reference; light paths decide the same at any number of threads, by
+    budget or by counts."""
     everything = analyze(scene, CullOptions(policy="none"))
     whole = (scene.mesh_bounds[scene.instances.mesh, 0] <= scene.mesh_bounds[scene.instances.mesh, 1]).all(axis=1)
     assert (everything.active == (exist & whole)).all(), "none culls, or keeps what does not exist"
     again = trace(prepared, Tlas(scene.instances, prepared.blas, everything.active), 1, seed=seed)
     assert again.sums.tobytes() == sums.tobytes(), "none renders something else"
-    options = CullOptions(width=16, seed=seed, paths=1, max_error=Budget(0.02, 0.1), min_share=0.001 if seed % 2 else None)
+    options = CullOptions(
+        width=16, seed=seed, paths=1, max_error=Budget(0.02, 0.1), min_share=0.001 if seed % 2 else None
+    )
     with unittest.mock.patch.object(loop, "ROUND_PATHS", 1 << 11):  # as decisive for these tiny pictures, and quicker
         one, two = (analyze(scene, dataclasses.replace(options, threads=threads)) for threads in (1, 2))
-    assert (one.state == two.state).all() and (one.hits == two.hits).all() and (one.score == two.score).all(), "states depend on threads"
+    assert (one.state == two.state).all() and (one.hits == two.hits).all() and (one.score == two.score).all(), (
+        "states depend on threads"
+    )
     assert np.isin(one.state, list(State)).all() and len(one.state) == len(exist)
     assert np.isfinite(one.score).all() and (one.score >= 0).all(), "a score is negative or not finite"
     assert not (one.active & ~exist).any(), "what does not exist is kept"
-    assert all(np.isfinite(value) and value >= 0 for value in one.stats.values() if isinstance(value, int | float)), "a figure of the report is no number"
+    assert all(np.isfinite(value) and value >= 0 for value in one.stats.values() if isinstance(value, int | float)), (
+        "a figure of the report is no number"
+    )

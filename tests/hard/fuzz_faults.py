@@ -1,4 +1,5 @@
-"""Work that ends at a random moment: killed, cancelled, on a full disk, without memory. Nothing of the user's is lost, and nothing half done counts."""
+"""Work that ends at a random moment: killed, cancelled, on a full disk, without memory. Nothing of the user's is lost,
+and nothing half done counts."""
 
 from __future__ import annotations
 
@@ -39,13 +40,27 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "render path": ("render", "scene.blend", "-o", "out", "--frames", "1-4", "--resume", "--engine", "path", *SMALL),
     "render cycles": ("render", "scene.blend", "-o", "cycles", "--frames", "1-2", "--engine", "cycles", *SMALL),
     "render baked": ("render", "baked.blend", "-o", "again", "--engine", "cycles", *SMALL),
-    "analyze": ("analyze", "scene.blend", "-o", "shot", "--frames", "1-2", "--bake", "shot", "--save", "baked.blend", *SMALL[:2], *SMALL[4:]),
+    "analyze": (
+        "analyze",
+        "scene.blend",
+        "-o",
+        "shot",
+        "--frames",
+        "1-2",
+        "--bake",
+        "shot",
+        "--save",
+        "baked.blend",
+        *SMALL[:2],
+        *SMALL[4:],
+    ),
 }
 INTERRUPTED = 500  # seconds that a command may take
 
 
 def run(seed: int, what: str | None = None) -> dict[str, Any]:
-    """One fault; the record, as of `fuzz_render.run`. what: "apply", "restore" or one of COMMANDS, by default drawn. Raises AssertionError."""
+    """One fault; the record, as of `fuzz_render.run`. what: "apply", "restore" or one of COMMANDS, by default drawn.
+    Raises AssertionError."""
     choose = Seeded(seed + 2**33)
     what = what or choose.one(("apply", "restore", *COMMANDS))
     if what in COMMANDS:
@@ -75,7 +90,8 @@ def raising(after: int, error: type[BaseException]) -> Iterator[list[int]]:
 
 
 def interrupted(choose: Seeded, what: str) -> str:
-    """Apply or restore, ended at a random line, in a random scene with something culled before, or not. What ended it."""
+    """Apply or restore, ended at a random line, in a random scene with something culled before, or not. What ended
+    it."""
     with muted():
         fuzz_blender.build(choose)
         bpy.context.view_layer.update()
@@ -86,7 +102,9 @@ def interrupted(choose: Seeded, what: str) -> str:
             return "nothing to cull"
         one, other = (choose.numbers().random(len(keys.records)) < share for share in (0.5, 0.8))
         culled_before = what == "restore" or choose.integer(0, 1) == 1
-        do: Callable[[], object] = writeback.restore if what == "restore" else lambda: writeback.apply(other, keys, free=True)
+        do: Callable[[], object] = (
+            writeback.restore if what == "restore" else lambda: writeback.apply(other, keys, free=True)
+        )
 
         def begin() -> None:
             writeback.restore()
@@ -116,7 +134,8 @@ def _same(before: dict[str, Any], otherwise: str) -> None:
 # Commands
 
 
-# Without what only the tests have: Numba imports SciPy where it is, whose OpenBLAS asks for memory for ever where there is none (Python 3.11).
+# Without what only the tests have: Numba imports SciPy where it is, whose OpenBLAS asks for memory for ever where there
+# is none (Python 3.11).
 _COMMAND = "import sys; sys.modules['scipy'] = None; from lipac.scripts.lipac import main; sys.exit(main(sys.argv[1:]))"
 
 
@@ -134,7 +153,8 @@ def _begin(limit: Callable[[], None] | None) -> None:
 
 
 def _limited(what: int, size: int) -> Callable[[], None]:
-    """Sets a limit of `resource`, in bytes; a file that grows beyond one is an error of the write, as on a full disk."""
+    """Sets a limit of `resource`, in bytes; a file that grows beyond one is an error of the write, as on a full
+    disk."""
 
     def limit() -> None:
         resource.setrlimit(what, (size, size))
@@ -145,7 +165,8 @@ def _limited(what: int, size: int) -> Callable[[], None]:
 
 @cache
 def ready() -> tuple[Path, dict[str, float], dict[str, bytes]]:
-    """A folder with a scene, two frames of it, a baked copy, and files of the user's; how long each command takes; the pictures of all four frames."""
+    """A folder with a scene, two frames of it, a baked copy, and files of the user's; how long each command takes; the
+    pictures of all four frames."""
     folder = Path(tempfile.mkdtemp(prefix="lipac-faults"))
     with muted():
         scene = stage()
@@ -179,17 +200,29 @@ def _lay_out(folder: Path, work: Path, finished: bool = True) -> None:
         shutil.copy(folder / name, work)
     if finished:
         shutil.copytree(folder / "out", work / "out")
-    for name in ("notes.txt", "out/notes.txt", "out/.lipac/mine", "out/frame_0003.txt", "out/.frame_0003.mine.part", "cycles/frame_0009.png"):
+    for name in (
+        "notes.txt",
+        "out/notes.txt",
+        "out/.lipac/mine",
+        "out/frame_0003.txt",
+        "out/.frame_0003.mine.part",
+        "cycles/frame_0009.png",
+    ):
         (work / name).parent.mkdir(parents=True, exist_ok=True)
         (work / name).write_text("of the user's")
 
 
 def _digests(work: Path) -> dict[str, str]:
-    return {str(path.relative_to(work)): hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(work.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(work)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(work.rglob("*"))
+        if path.is_file()
+    }
 
 
 def command(choose: Seeded, what: str) -> list[str]:
-    """One of COMMANDS, and a fault at a random moment of it; what that was. One time in four it is begun anew, and has to come to its end."""
+    """One of COMMANDS, and a fault at a random moment of it; what that was. One time in four it is begun anew, and has
+    to come to its end."""
     folder, seconds, pictures = ready()
     work, fault = folder / "work", choose.one(FAULTS)
     _lay_out(folder, work)
@@ -207,15 +240,21 @@ def command(choose: Seeded, what: str) -> list[str]:
     lines = process.communicate(timeout=INTERRUPTED)[1].strip().splitlines()
     _check_left(work, what, before)
     allowed = {"killed": (0, -9), "cancelled": (0, 130, -2), "full disk": (0, 1, 2)}.get(fault)
-    assert allowed is None or process.returncode in allowed, f"{what}, {fault}: status {process.returncode}: {lines[-1:]}"
-    assert fault != "full disk" or process.returncode == 0 or len(lines) == 1, f"{what}, {fault}: {len(lines)} lines: {lines[-2:]}"
+    assert allowed is None or process.returncode in allowed, (
+        f"{what}, {fault}: status {process.returncode}: {lines[-1:]}"
+    )
+    assert fault != "full disk" or process.returncode == 0 or len(lines) == 1, (
+        f"{what}, {fault}: {len(lines)} lines: {lines[-2:]}"
+    )
     if choose.integer(0, 3) == 3:
         again = lipac(work, *COMMANDS[what])
         said = again.communicate(timeout=INTERRUPTED)[1]
         assert again.returncode == 0, f"{what}, {fault}, and once more: status {again.returncode}: {said[-300:]}"
         _check_left(work, what, before)
         if what == "render path":
-            assert {path.name: path.read_bytes() for path in sorted((work / "out").glob("*.exr"))} == pictures, "other pictures than without a fault"
+            assert {path.name: path.read_bytes() for path in sorted((work / "out").glob("*.exr"))} == pictures, (
+                "other pictures than without a fault"
+            )
         return [fault, "and resumed"]
     return [fault]
 
@@ -228,7 +267,12 @@ def _check_left(work: Path, what: str, before: dict[str, str]) -> None:
     assert not changed, f"{what}: changed or lost: {changed}"
     for name in after:
         path = work / name
-        if name not in before and path.suffix in (".exr", ".png", ".npz", ".blend", ".json") and ".part" not in path.name and ".new" not in path.name:
+        if (
+            name not in before
+            and path.suffix in (".exr", ".png", ".npz", ".blend", ".json")
+            and ".part" not in path.name
+            and ".new" not in path.name
+        ):
             assert is_whole(path), f"{what}: {name} is half a file"
     assert is_whole(work / "baked.blend"), "the baked file is no file any more"
     if what == "render path":

@@ -1,4 +1,5 @@
-"""Damaged files: a clear message or a valid result. Blender's own readers may crash on them, so each is opened in a process of its own."""
+"""Damaged files: a clear message or a valid result. Blender's own readers may crash on them, so each is opened in a
+process of its own."""
 
 from __future__ import annotations
 
@@ -67,7 +68,8 @@ def damaged(choose: Seeded, suffix: str) -> bytes:
 
 
 def outcomes(choose: Seeded, count: int) -> dict[str, int]:
-    """Open count damaged files: how many were opened, refused in one line, or ended the process ("crashed N" by signal, "failed" with a traceback)."""
+    """Open count damaged files: how many were opened, refused in one line, or ended the process ("crashed N" by signal,
+    "failed" with a traceback)."""
     out: dict[str, int] = {}
     with tempfile.TemporaryDirectory() as folder:
         paths = []
@@ -78,12 +80,18 @@ def outcomes(choose: Seeded, count: int) -> dict[str, int]:
             paths.append(path)
         while paths:
             lines = "".join(f"{path}\n" for path in paths)
-            done = subprocess.run([sys.executable, "-c", OPEN], input=lines, capture_output=True, text=True, timeout=600, check=False)
+            done = subprocess.run(
+                [sys.executable, "-c", OPEN], input=lines, capture_output=True, text=True, timeout=600, check=False
+            )
             said = [line for line in done.stdout.splitlines() if line.startswith(("opened", "refused"))]
             for line in said:
                 out[line.split()[0]] = out.get(line.split()[0], 0) + 1
             if done.returncode or len(said) < len(paths):
-                name = f"crashed {-done.returncode}" if done.returncode < 0 else "failed " + done.stderr.strip().splitlines()[-1][:200]
+                name = (
+                    f"crashed {-done.returncode}"
+                    if done.returncode < 0
+                    else "failed " + done.stderr.strip().splitlines()[-1][:200]
+                )
                 out[name] = out.get(name, 0) + 1
             paths = paths[len(said) + 1 :]
     return out

@@ -1,4 +1,5 @@
-"""Random .blend files with what people's files have in them, rendered by the command and judged: no crash, nothing changed, within the budget or told."""
+"""Random .blend files with what people's files have in them, rendered by the command and judged: no crash, nothing
+changed, within the budget or told."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ def drawn(seed: int) -> list[str]:
 
 
 def build(seed: int, path: Path, names: list[str] | None = None) -> list[str]:
-    """Save the file of a seed, in a folder of its own: a scatter of the family, and features, by default those that it draws. Returns their names."""
+    """Save the file of a seed, in a folder of its own: a scatter of the family, and features, by default those that it
+    draws. Returns their names."""
     choose, names = Seeded(seed + 2**32), names or drawn(seed)
     with muted():
         family.build_drawn(replace(family.draw(seed), count=choose.integer(50, 400)))
@@ -54,17 +56,20 @@ def build(seed: int, path: Path, names: list[str] | None = None) -> list[str]:
 
 
 def run(seed: int, names: list[str] | None = None, verify: int = 12) -> dict[str, Any]:
-    """Build, render, judge. The record: features; status of the command; what it said; change of the picture, by a render of all; verdict.
+    """Build, render, judge. The record: features; status of the command; what it said; change of the picture, by a
+    render of all; verdict.
 
-    That is "held" (status 0, no change that is surely above the budget), "told" (status 3), "refused" (status 2), or in "failed" is what is wrong.
-    names: of the features, in place of those that the seed draws; verify 0: analysed only.
+    That is "held" (status 0, no change that is surely above the budget), "told" (status 3), "refused" (status 2), or in
+    "failed" is what is wrong. names: of the features, in place of those that the seed draws; verify 0: analysed only.
     """
     with tempfile.TemporaryDirectory(prefix="lipac") as temporary:
         folder = Path(temporary)
         path = folder / "scene.blend"
         record: dict[str, Any] = {"seed": seed, "features": build(seed, path, names)}
         before = files(folder)
-        status, lines = command("render" if verify else "analyze", path, folder / "culled", *(["--verify", str(verify)] if verify else []))
+        status, lines = command(
+            "render" if verify else "analyze", path, folder / "culled", *(["--verify", str(verify)] if verify else [])
+        )
         record |= {"status": status, "said": lines}
         if bpy.data.filepath and Path(bpy.data.filepath) == path:
             used = snapshot()
@@ -78,7 +83,10 @@ def run(seed: int, names: list[str] | None = None, verify: int = 12) -> dict[str
             record["failed"] = f"status {status}: {lines[-1:]}"
         record["verdict"] = {0: "held", 2: "refused", 3: "told"}.get(status, "failed")
         if status in (0, 3):
-            record |= {name: json.loads((folder / "culled" / "report.json").read_text())["frames"][0][name] for name in ("instances", "active")}
+            record |= {
+                name: json.loads((folder / "culled" / "report.json").read_text())["frames"][0][name]
+                for name in ("instances", "active")
+            }
         if verify and status in (0, 3):
             record |= _judged(path, folder, record)
         with muted():
@@ -102,12 +110,25 @@ def files(folder: Path) -> dict[str, str]:
 def _changed(used: dict[str, Any], fresh: dict[str, Any]) -> dict[str, str]:
     """What of the open file is not put back."""
     changed = [name for name in used.keys() | fresh.keys() if used.get(name) != fresh.get(name)]
-    return {"failed": f"not as in the file: {[(name, *_differing(used.get(name), fresh.get(name))) for name in sorted(changed)[:3]]}"} if changed else {}
+    return (
+        {
+            "failed": (
+                "not as in the file: "
+                f"{[(name, *_differing(used.get(name), fresh.get(name))) for name in sorted(changed)[:3]]}"
+            )
+        }
+        if changed
+        else {}
+    )
 
 
 def _differing(a: Any, b: Any) -> list[str]:
     """Names of properties that differ, where it is that."""
-    return [key for key in a.keys() | b.keys() if a.get(key) != b.get(key)] if isinstance(a, dict) and isinstance(b, dict) else []
+    return (
+        [key for key in a.keys() | b.keys() if a.get(key) != b.get(key)]
+        if isinstance(a, dict) and isinstance(b, dict)
+        else []
+    )
 
 
 def _judged(path: Path, folder: Path, record: dict[str, Any]) -> dict[str, Any]:

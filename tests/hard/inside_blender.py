@@ -1,4 +1,5 @@
-"""Hard cases that need Blender: places far from the world's origin, cameras of all kinds, Cycles in the same process."""
+"""Hard cases that need Blender: places far from the world's origin, cameras of all kinds, Cycles in the same
+process."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ GROUP = "Inside Blender"
 
 
 def stage(offset: tuple[float, float, float] = (0.0, 0.0, 0.0), scale: float = 1.0) -> bpy.types.Scene:
-    """Cubes and a smooth ball on a floor, a sun, a camera; all of it moved by offset. Its coordinates are multiples of 64: exact in float32 up to 10^9."""
+    """Cubes and a smooth ball on a floor, a sun, a camera; all of it moved by offset. Its coordinates are multiples of
+    64: exact in float32 up to 10^9."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
 
@@ -48,7 +50,12 @@ def stage(offset: tuple[float, float, float] = (0.0, 0.0, 0.0), scale: float = 1
     scene.camera.rotation_euler = (1.1, 0, 0)
     scene.world = bpy.data.worlds.new("world")
     settings = scene.render
-    settings.engine, settings.resolution_x, settings.resolution_y, settings.resolution_percentage = "CYCLES", 64, 36, 100
+    settings.engine, settings.resolution_x, settings.resolution_y, settings.resolution_percentage = (
+        "CYCLES",
+        64,
+        36,
+        100,
+    )
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 4, False, False
     return scene
 
@@ -65,7 +72,12 @@ def moved() -> Iterator[Figure]:
     reference = render(extracted(stage()), 4).mean
     for distance in (2**10, 2**17, 2**20, 2**24, 2**27):
         picture = render(extracted(stage((distance, -distance, distance / 4))), 4).mean
-        yield Figure(f"scene moved by {distance:.0e} m along x and y", "pixels that differ in any bit", changed(reference, picture, 0.0), 0.0)
+        yield Figure(
+            f"scene moved by {distance:.0e} m along x and y",
+            "pixels that differ in any bit",
+            changed(reference, picture, 0.0),
+            0.0,
+        )
 
 
 def cycles() -> F32:
@@ -83,7 +95,8 @@ def cycles() -> F32:
 
 @case(GROUP)
 def beside_cycles() -> Iterator[Figure]:
-    """Cycles before, during and after our tracing, each with its own Embree and threads: both give what they give alone."""
+    """Cycles before, during and after our tracing, each with its own Embree and threads: both give what they give
+    alone."""
     scene = stage()
     alone = cycles()
     core = extracted(scene)
@@ -101,7 +114,12 @@ def beside_cycles() -> Iterator[Figure]:
     stop.set()
     worker.join()
     after = cycles()
-    yield Figure("Cycles while we trace, and after", "pixels that differ in any bit", changed(alone, meanwhile, 0.0) + changed(alone, after, 0.0), 0.0)
+    yield Figure(
+        "Cycles while we trace, and after",
+        "pixels that differ in any bit",
+        changed(alone, meanwhile, 0.0) + changed(alone, after, 0.0),
+        0.0,
+    )
     yield Figure(
         f"our tracing while Cycles renders ({'once or more' if during else 'never'})",
         "pixels that differ in any bit",
@@ -117,12 +135,21 @@ def no_border(scene: bpy.types.Scene) -> None:
 
 @case(GROUP)
 def cameras_of_blender() -> Iterator[Figure]:
-    """Panoramic and custom cameras are refused in one line that says so; sizes and borders at their limits give the picture that was asked for."""
+    """Panoramic and custom cameras are refused in one line that says so; sizes and borders at their limits give the
+    picture that was asked for."""
     for what, change, says in (
-        ("panoramic camera", lambda scene: setattr(scene.camera.data, "type", "PANO"), "only perspective and orthographic"),
+        (
+            "panoramic camera",
+            lambda scene: setattr(scene.camera.data, "type", "PANO"),
+            "only perspective and orthographic",
+        ),
         ("camera scaled to 0", lambda scene: setattr(scene.camera, "scale", (0, 0, 0)), "singular"),
         ("camera at NaN", lambda scene: setattr(scene.camera, "location", (float("nan"), 0, 0)), "not finite"),
-        ("a picture of 1 % of 64 x 36 pixels", lambda scene: setattr(scene.render, "resolution_percentage", 1), "too small"),
+        (
+            "a picture of 1 % of 64 x 36 pixels",
+            lambda scene: setattr(scene.render, "resolution_percentage", 1),
+            "too small",
+        ),
         ("a render border without area", no_border, "too small"),
     ):
         scene, said = stage(), ""
@@ -131,7 +158,9 @@ def cameras_of_blender() -> Iterator[Figure]:
             extracted(scene)
         except InputError as error:
             said = str(error)
-        yield Figure(what, "no message in one line that says so", float(says not in said or "\n" in said), 0.0, "not supported")
+        yield Figure(
+            what, "no message in one line that says so", float(says not in said or "\n" in said), 0.0, "not supported"
+        )
     scene = stage()
     whole = render(extracted(scene), 1).mean
     scene.render.use_border, scene.render.border_min_x, scene.render.border_max_x = True, 0.25, 0.5

@@ -28,7 +28,9 @@ def picture_of(mesh: s.Mesh, emission: float = 0.0) -> np.ndarray:
     materials = [material(base_color=0.6), material(s.Shader.PRINCIPLED, base_color=0.7, emission=emission)]
     sun = lamp(s.LightKind.SUN, power=2)
     sun["axis_z"] = np.array([0.5, -0.4, 0.7]) / np.linalg.norm([0.5, -0.4, 0.7])
-    return render(scenes.build([mesh, scenes.quad()], placement, materials, CAMERA, sun, (0.3, 0.3, 0.3), (96, 54)), 4).mean
+    return render(
+        scenes.build([mesh, scenes.quad()], placement, materials, CAMERA, sun, (0.3, 0.3, 0.3), (96, 54)), 4
+    ).mean
 
 
 def joined(*parts: s.Mesh) -> s.Mesh:
@@ -51,13 +53,18 @@ def dirt(kind: str) -> s.Mesh:
         corners = np.stack([a, b, a + rng.normal(size=(500, 3)) * 1e-7], 1)
     else:
         corners = rng.uniform(-1, 1, (300, 3, 3))
-        corners[np.arange(300), rng.integers(0, 3, 300), rng.integers(0, 3, 300)] = np.array([np.nan, np.inf, -np.inf, 3e38])[np.arange(300) % 4]
-    return s.Mesh(corners.reshape(-1, 3).astype(np.float32), np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3))
+        corners[np.arange(300), rng.integers(0, 3, 300), rng.integers(0, 3, 300)] = np.array(
+            [np.nan, np.inf, -np.inf, 3e38]
+        )[np.arange(300) % 4]
+    return s.Mesh(
+        corners.reshape(-1, 3).astype(np.float32), np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
+    )
 
 
 @case(GROUP)
 def dirt_does_not_show() -> Iterator[Figure]:
-    """Triangles without area, needles thinner than 1e-7, vertices that are no numbers: beside a good body in one mesh."""
+    """Triangles without area, needles thinner than 1e-7, vertices that are no numbers: beside a good body in one
+    mesh."""
     body = scenes.sphere(16)
     reference = picture_of(body)
     for kind in ("zero-area triangles", "needles", "vertices that are NaN, infinite or 3e38"):
@@ -67,7 +74,13 @@ def dirt_does_not_show() -> Iterator[Figure]:
             # core takes bounds from a scene; extraction makes them of usable vertices alone, and so does this
             picture = picture_of(mesh) if "NaN" not in kind else broken_picture(mesh, body)
         limit = 0.01 if kind == "needles" else 0.0
-        yield Figure(what, "pixels that differ by more than 1 %", changed(reference, picture), limit, "single rays meet a needle" if limit else "")
+        yield Figure(
+            what,
+            "pixels that differ by more than 1 %",
+            changed(reference, picture),
+            limit,
+            "single rays meet a needle" if limit else "",
+        )
 
 
 def broken_picture(mesh: s.Mesh, sound: s.Mesh) -> np.ndarray:
@@ -87,12 +100,27 @@ def duplicates_and_non_manifold() -> Iterator[Figure]:
     """Every triangle twice, and three sheets on one edge: the same hits, one or the other of equals."""
     body = scenes.sphere(16)
     double = s.Mesh(body.positions, np.concatenate([body.triangles, body.triangles]))
-    yield Figure("every triangle twice", "pixels that differ by more than 1 %", changed(picture_of(body), picture_of(double)), 0.0)
+    yield Figure(
+        "every triangle twice",
+        "pixels that differ by more than 1 %",
+        changed(picture_of(body), picture_of(double)),
+        0.0,
+    )
     flipped = s.Mesh(body.positions, np.concatenate([body.triangles, body.triangles[:, ::-1]]))
-    yield Figure("every triangle twice, facing both ways", "pixels that differ by more than 1 %", changed(picture_of(body), picture_of(flipped)), 0.0)
-    sheets = s.Mesh(np.array([[0, 0, -1], [0, 0, 1], [1, 0, 0], [-1, 0.5, 0], [0, 1, 0]], np.float32), np.array([[0, 1, 2], [0, 1, 3], [1, 0, 4]], np.uint32))
+    yield Figure(
+        "every triangle twice, facing both ways",
+        "pixels that differ by more than 1 %",
+        changed(picture_of(body), picture_of(flipped)),
+        0.0,
+    )
+    sheets = s.Mesh(
+        np.array([[0, 0, -1], [0, 0, 1], [1, 0, 0], [-1, 0.5, 0], [0, 1, 0]], np.float32),
+        np.array([[0, 1, 2], [0, 1, 3], [1, 0, 4]], np.uint32),
+    )
     picture = picture_of(sheets)
-    yield Figure("three triangles on one edge", "pixels that are not finite", float((~np.isfinite(picture)).mean()), 0.0)
+    yield Figure(
+        "three triangles on one edge", "pixels that are not finite", float((~np.isfinite(picture)).mean()), 0.0
+    )
 
 
 @case(GROUP)
@@ -100,26 +128,55 @@ def inside_out() -> Figure:
     """A closed diffuse body with its normals turned in looks as with normals out."""
     body = scenes.sphere(16)
     turned = s.Mesh(body.positions, np.ascontiguousarray(body.triangles[:, ::-1]))
-    return Figure("normals turned inside out", "pixels that differ by more than 1 %", changed(picture_of(body), picture_of(turned)), 0.0)
+    return Figure(
+        "normals turned inside out",
+        "pixels that differ by more than 1 %",
+        changed(picture_of(body), picture_of(turned)),
+        0.0,
+    )
 
 
 @case(GROUP)
 def coplanar_overlap() -> Iterator[Figure]:
     """Two overlapping floors in one plane, of one material, axis-aligned and turned: no shadow of one on the other."""
-    for name, turn in (("axis-aligned", np.eye(3)), ("turned", np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0])):
+    for name, turn in (
+        ("axis-aligned", np.eye(3)),
+        ("turned", np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]),
+    ):
         turn = turn * np.sign(np.linalg.det(turn))  # noqa: PLW2901
         pictures = []
         for copies in (1, 2):
-            corners = np.concatenate([scenes.quad().positions @ turn.T * size + turn[:, 0] * shift for size, shift in ((8.0, 0.0), (7.3, 0.21))[:copies]])
+            corners = np.concatenate(
+                [
+                    scenes.quad().positions @ turn.T * size + turn[:, 0] * shift
+                    for size, shift in ((8.0, 0.0), (7.3, 0.21))[:copies]
+                ]
+            )
             triangles = np.concatenate([scenes.quad().triangles + 4 * k for k in range(copies)])
             mesh = s.Mesh(corners.astype(np.float32), triangles.astype(np.uint32))
             sun = lamp(s.LightKind.SUN, power=2)
             sun["axis_z"] = turn @ (np.array([0.5, -0.4, 0.7]) / np.linalg.norm([0.5, -0.4, 0.7]))
             camera = scenes.look_at(tuple(turn @ [0, -2, 4]), (0, 0, 0), 0.3)  # type: ignore[arg-type]
             pictures.append(
-                render(scenes.build([mesh], [(0, scenes.placed((0, 0, 0)), 0)], [material(base_color=0.5)], camera, sun, (0, 0, 0), (64, 36)), 8).mean
+                render(
+                    scenes.build(
+                        [mesh],
+                        [(0, scenes.placed((0, 0, 0)), 0)],
+                        [material(base_color=0.5)],
+                        camera,
+                        sun,
+                        (0, 0, 0),
+                        (64, 36),
+                    ),
+                    8,
+                ).mean
             )
-        yield Figure(f"two overlapping floors in one plane, {name}", "pixels that differ by more than 1 %", changed(pictures[0], pictures[1]), 0.0)
+        yield Figure(
+            f"two overlapping floors in one plane, {name}",
+            "pixels that differ by more than 1 %",
+            changed(pictures[0], pictures[1]),
+            0.0,
+        )
 
 
 @case(GROUP)
@@ -128,8 +185,15 @@ def nothing_in_a_mesh() -> Iterator[Figure]:
     empty = s.Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
     loose = s.Mesh(np.ones((5, 3), np.float32), np.zeros((0, 3), np.uint32))
     ball = scenes.sphere(12)
-    scene = scenes.build([ball, scenes.quad()], [(0, scenes.placed((0, 0, 1)), 0), (1, scenes.placed((0, 0, 0), 8.0), 0)], camera=CAMERA, size=(64, 36))
-    bounds = np.concatenate([scene.mesh_bounds, [[[1, 1, 1], [-1, -1, -1]]], [[[1, 1, 1], [1, 1, 1]]]]).astype(np.float32)
+    scene = scenes.build(
+        [ball, scenes.quad()],
+        [(0, scenes.placed((0, 0, 1)), 0), (1, scenes.placed((0, 0, 0), 8.0), 0)],
+        camera=CAMERA,
+        size=(64, 36),
+    )
+    bounds = np.concatenate([scene.mesh_bounds, [[[1, 1, 1], [-1, -1, -1]]], [[[1, 1, 1], [1, 1, 1]]]]).astype(
+        np.float32
+    )
     transform = np.concatenate([scene.instances.transform, np.stack([scenes.placed((0, 0, 1))] * 2)])
     mesh, two = np.array([0, 1, 2, 3], np.int32), np.zeros(2, np.int32)
     instances = dataclasses.replace(
@@ -140,7 +204,9 @@ def nothing_in_a_mesh() -> Iterator[Figure]:
         flags=np.full(4, s.ALL_RAYS, np.uint8),
         bounds=s.world_bounds(transform, bounds, mesh),
     )
-    with_empty = dataclasses.replace(scene, meshes=[ball, scenes.quad(), empty, loose], mesh_bounds=bounds, instances=instances)
+    with_empty = dataclasses.replace(
+        scene, meshes=[ball, scenes.quad(), empty, loose], mesh_bounds=bounds, instances=instances
+    )
     result = analyze(with_empty, CullOptions(width=64, policy="none"))
     figure = changed(render(scene, 4).mean, render(with_empty, 4, result.active).mean, 0.0)
     yield Figure("meshes without vertices, and with loose ones only", "pixels that differ in any bit", figure, 0.0)
@@ -166,5 +232,15 @@ def ten_million_triangles() -> Iterator[Figure]:
     feedback = Feedback.zeros(1)
     picture = render(scene, 4, feedback=feedback)
     paths = 256 * 256 * 4
-    yield Figure(f"{len(mesh.triangles):,} triangles in one mesh", "rays that pass through it", 1.0 - feedback.hits[0, s.RayType.CAMERA] / paths, 0.0)
-    yield Figure(f"{len(mesh.triangles):,} triangles in one mesh", "pixels that are not finite", float((~np.isfinite(picture.mean)).mean()), 0.0)
+    yield Figure(
+        f"{len(mesh.triangles):,} triangles in one mesh",
+        "rays that pass through it",
+        1.0 - feedback.hits[0, s.RayType.CAMERA] / paths,
+        0.0,
+    )
+    yield Figure(
+        f"{len(mesh.triangles):,} triangles in one mesh",
+        "pixels that are not finite",
+        float((~np.isfinite(picture.mean)).mean()),
+        0.0,
+    )

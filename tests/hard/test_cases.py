@@ -15,7 +15,9 @@ def test_every_module_has_cases() -> None:
 
 
 @pytest.mark.parametrize(
-    "case", [c for c in CASES if not c.slow and c.function.__module__ in {m.__name__ for m in MODULES}], ids=lambda c: f"{c.group}: {c.name}"
+    "case",
+    [c for c in CASES if not c.slow and c.function.__module__ in {m.__name__ for m in MODULES}],
+    ids=lambda c: f"{c.group}: {c.name}",
 )
 def test_holds(case: Case) -> None:
     figures = case.figures()

@@ -1,4 +1,5 @@
-"""A full disk, a folder that goes away, an Embree without memory, another Embree in the process: what the user is told, and what is left."""
+"""A full disk, a folder that goes away, an Embree without memory, another Embree in the process: what the user is told,
+and what is left."""
 
 from __future__ import annotations
 
@@ -46,7 +47,8 @@ def command(limit: int, *arguments: object) -> subprocess.CompletedProcess[str]:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
     return subprocess.run(
-        [sys.executable, "-B", "-m", "lipac.scripts.lipac", *map(str, arguments)],  # Python keeps half of what it compiles, too
+        # Python keeps half of what it compiles, too
+        [sys.executable, "-B", "-m", "lipac.scripts.lipac", *map(str, arguments)],
         capture_output=True,
         text=True,
         preexec_fn=full,
@@ -55,11 +57,17 @@ def command(limit: int, *arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize(("limit", "how"), [(500, ["--engine", "path"]), (4000, ["--engine", "path"]), (20_000, ["--engine", "cycles", "--cull", "none"])])
+@pytest.mark.parametrize(
+    ("limit", "how"),
+    [(500, ["--engine", "path"]), (4000, ["--engine", "path"]), (20_000, ["--engine", "cycles", "--cull", "none"])],
+)
 def test_full_disk(blend: Path, tmp_path: Path, limit: int, how: list[str]) -> None:
-    """500 bytes: not even the report fits; 4,000: the picture does not; 20,000: a part of it does, and Blender says nothing of the rest."""
+    """500 bytes: not even the report fits; 4,000: the picture does not; 20,000: a part of it does, and Blender says
+    nothing of the rest."""
     before = blend.read_bytes()
-    done = command(limit, "render", blend, "-o", tmp_path / "out", *how, "--samples", 1, "--resolution", "160x90", "--quiet")
+    done = command(
+        limit, "render", blend, "-o", tmp_path / "out", *how, "--samples", 1, "--resolution", "160x90", "--quiet"
+    )
     assert done.returncode == 1
     lines = done.stderr.strip().splitlines()
     assert len(lines) == 1 and "cannot read or write" in lines[0] and "free space" in lines[0]
@@ -75,13 +83,28 @@ def test_full_temporary_folder(blend: Path, tmp_path: Path) -> None:
     folder = tmp_path / "temporary"
     folder.mkdir()
     code = (
-        "import sys, lipac.lipac_addon.batch.verify as verify, os, lipac.core.files.atomic as files; whole = files.is_whole\n"
+        "import sys, lipac.lipac_addon.batch.verify as verify, os, lipac.core.files.atomic as files; whole = "
+        "files.is_whole\n"
         f"files.is_whole = lambda path: whole(path) and not str(path).startswith({str(folder)!r})\n"
         "from lipac.scripts.lipac import main; sys.exit(main(sys.argv[1:]))"
     )
-    arguments = ["render", blend, "-o", tmp_path / "out", "--samples", 1, "--resolution", "32x18", "--verify", 1, "--quiet"]
+    arguments = [
+        "render",
+        blend,
+        "-o",
+        tmp_path / "out",
+        "--samples",
+        1,
+        "--resolution",
+        "32x18",
+        "--verify",
+        1,
+        "--quiet",
+    ]
     environment = os.environ | {"TMPDIR": str(folder)}
-    done = subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, env=environment, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, env=environment, check=False
+    )
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert f"free space in {folder}, or name another folder by TMPDIR" in done.stderr
@@ -111,7 +134,8 @@ def _refuse(user, change, post):
 
 
 def test_embree_without_memory() -> None:
-    """A build that its memory monitor refuses is a MemoryError that says which mesh; the device still builds what fits, and nothing leaks."""
+    """A build that its memory monitor refuses is a MemoryError that says which mesh; the device still builds what fits,
+    and nothing leaks."""
     device = embree.Device(2)
     monitor = embree.lib.rtcSetDeviceMemoryMonitorFunction
     meshes = [scenes.sphere(128), scenes.cube()]
@@ -134,10 +158,16 @@ def blenders(pattern: str) -> Path:
 
 def traced(**environment: str) -> None:
     """The core's tests of tracing, in a process of its own."""
-    names = ("accel/test_tlas.py", "accel/test_hitboxes.py", "tracing/test_tracer.py::test_same_picture_and_counts_at_any_number_of_threads")
+    names = (
+        "accel/test_tlas.py",
+        "accel/test_hitboxes.py",
+        "tracing/test_tracer.py::test_same_picture_and_counts_at_any_number_of_threads",
+    )
     tests = [str(ROOT / "tests" / "core" / name) for name in names]
     arguments = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests]
-    done = subprocess.run(arguments, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, timeout=600, check=False)
+    done = subprocess.run(
+        arguments, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, timeout=600, check=False
+    )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
 
 
@@ -149,7 +179,8 @@ def test_beside_another_embree() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of libraries on Linux")
 def test_with_blenders_tbb(tmp_path: Path) -> None:
-    """Our Embree on the TBB that Blender brings, which is another version: so it comes about on Windows, where both have one name."""
+    """Our Embree on the TBB that Blender brings, which is another version: so it comes about on Windows, where both
+    have one name."""
     package = Path(embree._library_path())
     needed = next(package.parent.glob("libtbb*.so*")).name
     (tmp_path / "embreex").mkdir()

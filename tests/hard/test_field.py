@@ -13,7 +13,9 @@ from lipac.scripts.lipac import main
 from . import field
 from .case import CASES, Case
 
-pytestmark = pytest.mark.skipif(not field.FIELD.is_dir(), reason="the supplied cases (../shared/cases/field) are not here")
+pytestmark = pytest.mark.skipif(
+    not field.FIELD.is_dir(), reason="the supplied cases (../shared/cases/field) are not here"
+)
 OWN = [case for case in CASES if case.function.__module__ == field.__name__]
 
 
@@ -35,5 +37,20 @@ def test_every_file_has_its_case() -> None:
 
 
 def test_points_alone_are_nothing_for_the_path_tracer(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["render", str(field.FIELD / "points_only.blend"), "-o", str(tmp_path), "--engine", "path", "--resolution", "16x9", "--quiet"]) == 2
+    assert (
+        main(
+            [
+                "render",
+                str(field.FIELD / "points_only.blend"),
+                "-o",
+                str(tmp_path),
+                "--engine",
+                "path",
+                "--resolution",
+                "16x9",
+                "--quiet",
+            ]
+        )
+        == 2
+    )
     assert "point cloud" in capfd.readouterr().err

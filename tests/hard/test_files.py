@@ -1,4 +1,5 @@
-"""Damaged files are refused in a line, or opened; none ends the process. `python -m lipac.scripts.dev.fuzz files` tries as many as wanted."""
+"""Damaged files are refused in a line, or opened; none ends the process. `python -m lipac.scripts.dev.fuzz files` tries
+as many as wanted."""
 
 from __future__ import annotations
 

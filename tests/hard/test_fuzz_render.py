@@ -1,4 +1,5 @@
-"""Generated files with what people's files have in them go through the commands: a hundred here; `python -m lipac.scripts.dev.fuzz render` does any number."""
+"""Generated files with what people's files have in them go through the commands: a hundred here; `python -m
+lipac.scripts.dev.fuzz render` does any number."""
 
 from __future__ import annotations
 
@@ -23,7 +24,11 @@ EVERY = 5  # one of so many is rendered and verified, the others are analysed
 @pytest.fixture(scope="module")
 def check() -> Iterator[Callable[[range], list[dict[str, Any]]]]:
     """The records of some seeds, by two processes at a time: most of what they do, Blender does by one thread."""
-    with fuzz.in_children("render", 1, EVERY) as a, fuzz.in_children("render", 1, EVERY) as b, ThreadPoolExecutor(2) as pool:
+    with (
+        fuzz.in_children("render", 1, EVERY) as a,
+        fuzz.in_children("render", 1, EVERY) as b,
+        ThreadPoolExecutor(2) as pool,
+    ):
 
         def of(seeds: range) -> list[dict[str, Any]]:
             halves = pool.map(lambda do, part: [do(seed) for seed in part], (a, b), (seeds[::2], seeds[1::2]))
@@ -34,7 +39,8 @@ def check() -> Iterator[Callable[[range], list[dict[str, Any]]]]:
 
 @pytest.mark.parametrize("block", range(4))
 def test_files(block: int, check: Callable[[range], list[dict[str, Any]]]) -> None:
-    """25 seeds each: no crash, nothing hangs, the open file is put back, files are as they were, and where the budget is broken, that is told."""
+    """25 seeds each: no crash, nothing hangs, the open file is put back, files are as they were, and where the budget
+    is broken, that is told."""
     found = check(range(FIRST + 25 * block, FIRST + 25 * (block + 1)))
     assert len(found) == 25
     assert [scene for scene in found if "failed" in scene] == []
@@ -57,7 +63,8 @@ def test_a_seed_is_a_file(tmp_path: Path) -> None:
 
 
 def test_the_judge_sees_what_is_gone() -> None:
-    """A tenth of the light in one tile is gone in one picture of a pair: 0.7 % in the mean, 10 % in the worst tile. Noise alone is no change."""
+    """A tenth of the light in one tile is gone in one picture of a pair: 0.7 % in the mean, 10 % in the worst tile.
+    Noise alone is no change."""
     rng = np.random.default_rng(0)
     full = np.ones((36, 64, 4), np.float32)
     culled = full.copy()

@@ -46,14 +46,16 @@ LINEAR = {
 
 
 def self_hits(linear: np.ndarray, mesh: s.Mesh) -> float:
-    """Share of a convex body's diffuse bounces that meet it again: none can. It stands ten of its sizes from the origin, seen from outside."""
+    """Share of a convex body's diffuse bounces that meet it again: none can. It stands ten of its sizes from the
+    origin, seen from outside."""
     transform = np.zeros((3, 4), np.float32)
     transform[:, :3] = linear
     size = float(np.linalg.norm(linear, axis=0).max())
     centre = np.array([7.0, 5.0, 3.0]) * size
     transform[:, 3] = centre
     axes, sizes, _ = np.linalg.svd(linear)
-    eye = centre + (axes[:, 0] + 2 * axes[:, 1] + 3 * axes[:, 2]) * sizes[1]  # long bodies are seen from the side, near their middle
+    # long bodies are seen from the side, near their middle
+    eye = centre + (axes[:, 0] + 2 * axes[:, 1] + 3 * axes[:, 2]) * sizes[1]
     camera = scenes.look_at(tuple(eye), tuple(centre), 0.35)  # type: ignore[arg-type]
     scene = scenes.build([mesh], [(0, transform, 0)], [material()], camera, size=(96, 54), limits=LIMITS)
     feedback = Feedback.zeros(1)
@@ -87,10 +89,16 @@ def transformed_equals_baked() -> Iterator[Figure]:
             placement = [(0, at, 0), (1, scenes.placed((0, 0, -2), 12.0), 0)]
             sun = lamp(s.LightKind.SUN, power=3)
             camera = scenes.look_at((1, -7, 4), (0, 0, 0.5))
-            pictures.append(render(scenes.build([mesh, scenes.quad()], placement, lights=sun, camera=camera, size=(96, 54)), 4).mean)
+            pictures.append(
+                render(scenes.build([mesh, scenes.quad()], placement, lights=sun, camera=camera, size=(96, 54)), 4).mean
+            )
         why = "rays at its edges may fall to either side of them"
         yield Figure(
-            f"cube {name}, against its vertices transformed beforehand", "pixels that differ by more than 1 %", changed(pictures[0], pictures[1]), 0.02, why
+            f"cube {name}, against its vertices transformed beforehand",
+            "pixels that differ by more than 1 %",
+            changed(pictures[0], pictures[1]),
+            0.02,
+            why,
         )
 
 
@@ -101,9 +109,15 @@ def broken_scene(number: float) -> s.Scene:
     moved = scenes.placed((number, 0.0, 0.5))
     flat = scenes.placed((1.0, 0.0, 0.5), (1.0, 0.0, 1.0))
     point = scenes.placed((1.0, 0.0, 0.5), 0.0)
-    placement = [(1, scenes.placed((0, 0, 0), 8.0), 0), (0, scenes.placed((0, 1, 0.5)), 0), *[(0, t, 0) for t in (broken, moved, flat, point)]]
+    placement = [
+        (1, scenes.placed((0, 0, 0), 8.0), 0),
+        (0, scenes.placed((0, 1, 0.5)), 0),
+        *[(0, t, 0) for t in (broken, moved, flat, point)],
+    ]
     with np.errstate(all="ignore"):
-        return scenes.build([scenes.cube(), scenes.quad()], placement, lights=lamp(s.LightKind.SUN, power=3), size=(64, 36))
+        return scenes.build(
+            [scenes.cube(), scenes.quad()], placement, lights=lamp(s.LightKind.SUN, power=3), size=(64, 36)
+        )
 
 
 @case(GROUP)
@@ -115,19 +129,27 @@ def not_numbers() -> Iterator[Figure]:
             result = analyze(scene, CullOptions(policy=policy, width=64))
             picture = render(scene, 2, result.active).mean
             bad = float((~np.isfinite(picture)).mean()) + float(result.active[2:4].any())
-            yield Figure(f"transforms with {number:g}, flat and empty ones; policy {policy}", "pixels that are not finite; the unusable kept", bad, 0.0)
+            yield Figure(
+                f"transforms with {number:g}, flat and empty ones; policy {policy}",
+                "pixels that are not finite; the unusable kept",
+                bad,
+                0.0,
+            )
 
 
 @case(GROUP)
 def singular_transforms_are_known() -> Figure:
-    """What extraction leaves out: against the condition number in float64 of random transforms, scaled from 1e-12 to 1e12."""
+    """What extraction leaves out: against the condition number in float64 of random transforms, scaled from 1e-12 to
+    1e12."""
     rng = np.random.default_rng(3)
     transform = np.zeros((4000, 3, 4))
     transform[:, :, :3] = rng.normal(size=(4000, 3, 3)) * 10.0 ** rng.uniform(-12, 12, 4000)[:, None, None]
     flat = rng.random(4000) < 0.5
     transform[flat, :, 2] = transform[flat, :, :2] @ rng.normal(size=2)
     wrong = (usable_transforms(transform) == flat).mean()
-    return Figure("random transforms, half of them singular, sizes 1e-12 to 1e12", "taken for the other kind", float(wrong), 0.0)
+    return Figure(
+        "random transforms, half of them singular, sizes 1e-12 to 1e12", "taken for the other kind", float(wrong), 0.0
+    )
 
 
 @case(GROUP)
@@ -135,11 +157,18 @@ def many_at_one_place() -> Iterator[Figure]:
     """Thousands of cubes in one place. Their boxes coincide too: a cold start must get to one of them all the same."""
     count = 4_000
     placement = [(0, scenes.placed((0, 0, 0.5)), 0)] * count + [(1, scenes.placed((0, 0, 0), 8.0), 0)]
-    scene = scenes.build([scenes.cube(), scenes.quad()], placement, lights=lamp(s.LightKind.SUN, power=3), size=(64, 36))
+    scene = scenes.build(
+        [scenes.cube(), scenes.quad()], placement, lights=lamp(s.LightKind.SUN, power=3), size=(64, 36)
+    )
     only = np.zeros(count + 1, bool)
     only[[0, count]] = True
     one = render(scene, 4, only).mean
-    yield Figure("4,000 instances at one place, against one", "pixels that differ in any bit", changed(one, render(scene, 4).mean, 0.0), 0.0)
+    yield Figure(
+        "4,000 instances at one place, against one",
+        "pixels that differ in any bit",
+        changed(one, render(scene, 4).mean, 0.0),
+        0.0,
+    )
     culled = analyze(scene, CullOptions(width=64))
     figure = changed(one, render(scene, 4, culled.active).mean, 0.0)
     yield Figure("4,000 instances at one place, culled by light paths", "pixels that differ in any bit", figure, 0.0)

@@ -5,7 +5,8 @@ import pytest
 
 
 def ground_and_boxes() -> None:
-    """A plane, a wall, four cubes of one mesh before it and four behind, one of them above; a sun, a grey world, a camera."""
+    """A plane, a wall, four cubes of one mesh before it and four behind, one of them above; a sun, a grey world, a
+    camera."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     bpy.ops.mesh.primitive_plane_add(size=40)

@@ -1,8 +1,9 @@
 """The path tracer's pictures are Cycles' pictures, within the noise of both.
 
-Each renders several seeds; every coarse tile of their means is compared by Welch's t-test. The significance level is 1 % for the whole picture (Sidak's
-correction over tiles and channels), so a right renderer fails one run in a hundred per scene at most with other seeds; with these it passes for good.
-Clamping and Filter Glossy are off: they depend on how a renderer samples, not on what it computes.
+Each renders several seeds; every coarse tile of their means is compared by Welch's t-test. The significance level is 1
+% for the whole picture (Sidak's correction over tiles and channels), so a right renderer fails one run in a hundred per
+scene at most with other seeds; with these it passes for good. Clamping and Filter Glossy are off: they depend on how a
+renderer samples, not on what it computes.
 """
 
 from __future__ import annotations
@@ -67,7 +68,10 @@ def compare(theirs, ours):
     p = 2 * stats.t.sf(np.abs(t), np.maximum(freedom, SEEDS - 1))
     limit = level(p.size, 0.01)
     worst = np.unravel_index(p.argmin(), p.shape)
-    assert p.min() > limit, f"tile {worst}: {ours.mean(0)[worst]:.5f} instead of {theirs.mean(0)[worst]:.5f}; {(p < limit).sum()} of {p.size} differ"
+    assert p.min() > limit, (
+        f"tile {worst}: {ours.mean(0)[worst]:.5f} instead of {theirs.mean(0)[worst]:.5f}; {(p < limit).sum()} of "
+        f"{p.size} differ"
+    )
     # Tiles err to either side: their mean does not drift.
     assert abs(t[error2 > 1e-10].mean()) < 1.5
 
@@ -181,7 +185,8 @@ def test_sky_image(stage, tmp_path):
     node = tree.nodes.new("ShaderNodeTexEnvironment")
     node.image = image
     tree.links.new(node.outputs[0], tree.nodes["Background"].inputs[0])
-    stage.world.cycles.sampling_method, stage.world.cycles.sample_map_resolution = "MANUAL", 256  # Cycles takes seconds for more
+    # Cycles takes seconds for more
+    stage.world.cycles.sampling_method, stage.world.cycles.sample_map_resolution = "MANUAL", 256
     check(tmp_path)
 
 
@@ -299,7 +304,8 @@ def test_textures_and_normal_maps(stage: Any, tmp_path: Path) -> None:
 
 
 def blend(node: str, factor: Any, first: Any, second: Any) -> Any:
-    """A material of a Mix or Add Shader of two shader nodes, given as (type, inputs). factor: None, a number, (type of a node, output), or pixels."""
+    """A material of a Mix or Add Shader of two shader nodes, given as (type, inputs). factor: None, a number, (type of
+    a node, output), or pixels."""
     material = bpy.data.materials.new("blend")
     tree = material.node_tree
     tree.nodes.clear()
@@ -322,7 +328,10 @@ def blend(node: str, factor: Any, first: Any, second: Any) -> Any:
 
 
 Part = tuple[str, dict[str, Any]]
-RED, GREEN = ("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.2, 0.1, 1)}), ("ShaderNodeBsdfDiffuse", {"Color": (0.1, 0.7, 0.2, 1)})
+RED, GREEN = (
+    ("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.2, 0.1, 1)}),
+    ("ShaderNodeBsdfDiffuse", {"Color": (0.1, 0.7, 0.2, 1)}),
+)
 CLEAR: Part = ("ShaderNodeBsdfTransparent", {})
 TINTED: Part = ("ShaderNodeBsdfTransparent", {"Color": (0.3, 0.9, 0.6, 1)})
 MIRROR, GLASS = ("ShaderNodeBsdfAnisotropic", {"Roughness": 0.1}), ("ShaderNodeBsdfGlass", {"Roughness": 0.1})
@@ -340,16 +349,21 @@ def test_mixes_of_unlike_shaders(stage: Any, tmp_path: Path) -> None:
 
 
 def test_mixes_by_rays_and_sides(stage: Any, tmp_path: Path) -> None:
-    """What is clear to the camera alone, what is cut away, what shines otherwise than it looks, what blocks no light."""
+    """What is clear to the camera alone, what is cut away, what shines otherwise than it looks, what blocks no
+    light."""
     world((0.2, 0.2, 0.3))
     lamp("AREA", (2, -2, 3), 150, size=1.5)
     paint("Cube", blend("ShaderNodeMixShader", ("ShaderNodeNewGeometry", "Backfacing"), CLEAR, RED))
     paint("Sphere", blend("ShaderNodeMixShader", ("ShaderNodeLightPath", "Is Camera Ray"), GREEN, CLEAR))
     bright, dim = (("ShaderNodeEmission", {"Strength": strength}) for strength in (6.0, 0.5))
     bpy.ops.mesh.primitive_plane_add(size=1.0, location=(-0.5, 2.5, 1.0), rotation=(1.3, 0, 0))
-    bpy.context.object.data.materials.append(blend("ShaderNodeMixShader", ("ShaderNodeLightPath", "Is Camera Ray"), bright, dim))
+    bpy.context.object.data.materials.append(
+        blend("ShaderNodeMixShader", ("ShaderNodeLightPath", "Is Camera Ray"), bright, dim)
+    )
     bpy.ops.mesh.primitive_plane_add(size=1.5, location=(1.6, -1.6, 1.2))
-    bpy.context.object.data.materials.append(blend("ShaderNodeMixShader", ("ShaderNodeLightPath", "Is Shadow Ray"), RED, CLEAR))
+    bpy.context.object.data.materials.append(
+        blend("ShaderNodeMixShader", ("ShaderNodeLightPath", "Is Shadow Ray"), RED, CLEAR)
+    )
     check(tmp_path, samples=16)
 
 

@@ -14,7 +14,14 @@ from lipac.lipac_addon.extract import extract_frame
 
 @pytest.mark.parametrize(
     ("times", "word"),
-    [((0, 0, 0), "held"), ((0.2, 0.5, 1.0), "held"), ((0.9, 1.1, 1.2), "open"), ((0.5, 0.9, 3.0), "open"), ((1.1, 1.5, 4.0), "broken"), ((2.1, 3, 4), "twice")],
+    [
+        ((0, 0, 0), "held"),
+        ((0.2, 0.5, 1.0), "held"),
+        ((0.9, 1.1, 1.2), "open"),
+        ((0.5, 0.9, 3.0), "open"),
+        ((1.1, 1.5, 4.0), "broken"),
+        ((2.1, 3, 4), "twice"),
+    ],
 )
 def test_a_verdict_is_what_is_sure(times: tuple[float, float, float], word: str) -> None:
     assert family_trial.verdict(Range(*times)) == word
@@ -22,7 +29,8 @@ def test_a_verdict_is_what_is_sure(times: tuple[float, float, float], word: str)
 
 @pytest.mark.parametrize(("seen", "mean", "word"), [(True, 1e-4, "twice"), (True, 0.5, "held"), (False, 0.01, "held")])
 def test_culling_is_judged_and_taken_back(boxes: bpy.types.Scene, seen: bool, mean: float, word: str) -> None:
-    """Cubes before the wall or behind it are taken out; the second seed of the judge is another picture of the same scene."""
+    """Cubes before the wall or behind it are taken out; the second seed of the judge is another picture of the same
+    scene."""
     with muted():
         extraction = extract_frame(boxes)
     behind = extraction.scene.instances.bounds[:, 0, 1] + extraction.scene.origin[1] > 7

@@ -17,7 +17,11 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 def damaged(tmp_path, boxes_file):
     """Files that cannot be used, by what their error must say."""
     whole = boxes_file.read_bytes()
-    document = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_compression"], "extensionsUsed": ["KHR_draco_mesh_compression"]}
+    document = {
+        "asset": {"version": "2.0"},
+        "extensionsRequired": ["KHR_draco_mesh_compression"],
+        "extensionsUsed": ["KHR_draco_mesh_compression"],
+    }
     meshopt = document | {"extensionsRequired": ["EXT_meshopt_compression"]}
     chunk = json.dumps(document).encode().ljust(256)
     files = {
@@ -80,7 +84,10 @@ def test_imports_get_camera_and_light(tmp_path):
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e6])
 def test_framing_camera_sees_everything(tmp_path, size):
-    (tmp_path / "t.obj").write_text("".join(f"v {x * size} {y * size} {z * size}\n" for x in (5, 6) for y in (0, 3) for z in (0, 1)) + "f 1 2 3\nf 6 7 8\n")
+    (tmp_path / "t.obj").write_text(
+        "".join(f"v {x * size} {y * size} {z * size}\n" for x in (5, 6) for y in (0, 3) for z in (0, 1))
+        + "f 1 2 3\nf 6 7 8\n"
+    )
     open_scene(tmp_path / "t.obj")
     from bpy_extras.object_utils import world_to_camera_view
 

@@ -20,7 +20,8 @@ def test_linear_pixels_come_back_exactly(boxes, tmp_path):
 
 @pytest.mark.parametrize("transform", ["Standard", "AgX"])
 def test_displayed_as_blender_displays_it(boxes, tmp_path, transform):
-    """A render saved by Blender, by us, and from its linear pixels: the same displayed picture (8 bits; the last may round once more)."""
+    """A render saved by Blender, by us, and from its linear pixels: the same displayed picture (8 bits; the last may
+    round once more)."""
     boxes.view_settings.view_transform = transform
     boxes.render.image_settings.file_format = "PNG"
     boxes.render.filepath = str(tmp_path / "blender.png")

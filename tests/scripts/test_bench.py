@@ -1,4 +1,5 @@
-"""The benchmark measures what it says: both loops trace the same rays to the same hits, the peers render the same picture, the table reads the figures."""
+"""The benchmark measures what it says: both loops trace the same rays to the same hits, the peers render the same
+picture, the table reads the figures."""
 
 from __future__ import annotations
 
@@ -37,10 +38,14 @@ def test_bare_loop_and_feedback_loop_meet_the_same(tmp_path: Path) -> None:
     tlas, instances = _tetrahedra(200)
     rng = np.random.default_rng(2)
     rays = np.concatenate([rng.uniform(-5, 5, (3_000, 3)), rng.normal(size=(3_000, 3))], 1).astype(np.float32)
-    bare = library.bare_loop(ctypes.cast(lib.rtcIntersect1, ctypes.c_void_p), int(tlas.handle), rays.ctypes.data, len(rays), 3)
+    bare = library.bare_loop(
+        ctypes.cast(lib.rtcIntersect1, ctypes.c_void_p), int(tlas.handle), rays.ctypes.data, len(rays), 3
+    )
     hits = np.zeros((len(instances), RAY_TYPES), np.int64)
     counters = np.zeros((0, RAY_TYPES), np.int64)
-    bench_tracing._feedback_loop(tlas.handle, tlas.ids, tlas.first, np.uint64(0), counters, 0, rays, 0, len(rays), hits, 0)
+    bench_tracing._feedback_loop(
+        tlas.handle, tlas.ids, tlas.first, np.uint64(0), counters, 0, rays, 0, len(rays), hits, 0
+    )
     assert 0 < bare < len(rays)
     assert hits.sum() == bare
 
@@ -61,7 +66,10 @@ def test_report_says_machine_command_peers_and_ratios() -> None:
     error = {"flip": 0.002, "relmse": 0.001, "rmse": 0.0, "rmse_p99": 0.0}
     run = {"work_s": 30.0, "process_s": 40.0, "peak_bytes": 2e9}
     results = {
-        "rays": {"machine": "M", "cases": [{"case": "all active", "rays": "camera", "ours": 9e6, "bare": 1e7, "ratio": 0.9}]},
+        "rays": {
+            "machine": "M",
+            "cases": [{"case": "all active", "rays": "camera", "ours": 9e6, "bare": 1e7, "ratio": 0.9}],
+        },
         "extraction": {"machine": "M", "seconds": {"pull": 0.05, "ours": 0.1, "read": 6.0, "touch": 3.0}},
         "city": {
             "machine": "M",
@@ -94,7 +102,9 @@ def test_a_missing_compiler_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert "compiler" in bench.report({"rays": result | {"machine": "M"}})
 
 
-def test_a_run_does_not_inherit_the_peak_memory_of_the_one_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_does_not_inherit_the_peak_memory_of_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The report of a command goes on with what its folder has; a measurement begins anew."""
     report = tmp_path / compare.CULLED / "report.json"
     report.parent.mkdir()
@@ -106,4 +116,7 @@ def test_a_run_does_not_inherit_the_peak_memory_of_the_one_before(tmp_path: Path
         return 2.0
 
     monkeypatch.setattr(compare, "lipac", command)
-    assert compare.render(tmp_path / "scene.blend", tmp_path, compare.CULLED, ()) == {"totals": {"peak_bytes": 1}, "process_s": 2.0}
+    assert compare.render(tmp_path / "scene.blend", tmp_path, compare.CULLED, ()) == {
+        "totals": {"peak_bytes": 1},
+        "process_s": 2.0,
+    }

@@ -26,12 +26,19 @@ SMALL = ["--samples", "1", "--resolution", "32x18"]
 
 def command(*arguments, **options):
     """`lipac ARGUMENTS` as a process of its own."""
-    return subprocess.run([sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)], capture_output=True, text=True, check=False, **options)
+    return subprocess.run(
+        [sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        **options,
+    )
 
 
 @pytest.fixture(scope="module")
 def blend(tmp_path_factory):
-    """A ground, a row of boxes before a wall and one behind it, a scatter of pebbles behind it, as a .blend; its path."""
+    """A ground, a row of boxes before a wall and one behind it, a scatter of pebbles behind it, as a .blend; its
+    path."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     bpy.ops.mesh.primitive_plane_add(size=40)
@@ -76,7 +83,8 @@ def scatter(source):
 
 
 def test_render_from_a_shell(blend, tmp_path):
-    """Two frames by Cycles: files, report, states, clean output, the .blend untouched; what is behind the wall is culled and changes nothing in the picture."""
+    """Two frames by Cycles: files, report, states, clean output, the .blend untouched; what is behind the wall is
+    culled and changes nothing in the picture."""
     before = hashlib.sha256(blend.read_bytes()).hexdigest(), sorted(p.name for p in blend.parent.iterdir())
     done = command("render", blend, "-o", tmp_path / "a", "--frames", "1-2", *SMALL)
     assert done.returncode == 0, done.stderr
@@ -113,7 +121,24 @@ def test_render_from_a_shell(blend, tmp_path):
 
 @pytest.mark.parametrize("policy", ["frustum", "distance", "solid-angle"])
 def test_analyze_by_policy(blend, tmp_path, policy, capfd):
-    assert main(["analyze", str(blend), "-o", str(tmp_path), "--cull", policy, "--distance", "15", "--solid-angle", "5", "--quiet"]) == 0
+    assert (
+        main(
+            [
+                "analyze",
+                str(blend),
+                "-o",
+                str(tmp_path),
+                "--cull",
+                policy,
+                "--distance",
+                "15",
+                "--solid-angle",
+                "5",
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["policy"] == policy
     assert 0 < report["frames"][0]["active"] <= 40
@@ -132,19 +157,24 @@ def test_what_is_approximated_is_said(blend, tmp_path, capfd):
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     bpy.context.scene.render.use_border = bpy.context.scene.render.use_multiview = True
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "border.blend"))
-    assert main(["render", str(tmp_path / "border.blend"), "-o", str(tmp_path), "--cull", "none", "--quiet", *SMALL]) == 0
+    assert (
+        main(["render", str(tmp_path / "border.blend"), "-o", str(tmp_path), "--cull", "none", "--quiet", *SMALL]) == 0
+    )
     out, err = capfd.readouterr()
     assert "approximated: render region: the whole picture is rendered\n" in err
     assert "approximated: stereo: one view is rendered" in err
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["totals"]["wall_s"] > report["frames"][0]["render_s"]
-    assert float(out.splitlines()[-1].split()[0]) >= report["totals"]["wall_s"] - 0.05  # it is printed after the report is written, and rounded to 0.1 s
+    # it is printed after the report is written, and rounded to 0.1 s
+    assert float(out.splitlines()[-1].split()[0]) >= report["totals"]["wall_s"] - 0.05
 
 
 def test_a_shot_of_a_million_frames_begins_at_once(blend, tmp_path):
     """What is left of earlier commands is looked for where it is, not by its names."""
     arguments = ["analyze", str(blend), "-o", str(tmp_path), "--frames", "1-1048574", "--cull", "frustum", "--quiet"]
-    process = subprocess.Popen([sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE
+    )
     limit = time.monotonic() + 120
     while not (tmp_path / "states" / "frame_0001.npz").exists() and process.poll() is None and time.monotonic() < limit:
         time.sleep(0.05)
@@ -155,12 +185,29 @@ def test_a_shot_of_a_million_frames_begins_at_once(blend, tmp_path):
 
 def test_camera_auto_and_import(tmp_path):
     (tmp_path / "t.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    assert main(["render", str(tmp_path / "t.obj"), "-o", str(tmp_path), "--cull", "none", "--camera", "auto", "--quiet", *SMALL]) == 0
+    assert (
+        main(
+            [
+                "render",
+                str(tmp_path / "t.obj"),
+                "-o",
+                str(tmp_path),
+                "--cull",
+                "none",
+                "--camera",
+                "auto",
+                "--quiet",
+                *SMALL,
+            ]
+        )
+        == 0
+    )
 
 
 @pytest.mark.parametrize("script", ["analyze", "render"])
 def test_inside_blender(blend, tmp_path, script):
-    """As `blender -b FILE -P scripts/X.py -- ARGS` runs it: by path, the file open, arguments after two dashes. The package is not importable by name there."""
+    """As `blender -b FILE -P scripts/X.py -- ARGS` runs it: by path, the file open, arguments after two dashes. The
+    package is not importable by name there."""
     code = f"""
 import bpy, runpy, sys
 bpy.ops.wm.open_mainfile(filepath={str(blend)!r})
@@ -200,9 +247,18 @@ BAD = [
     (["render", "BLEND", "-o", "out", "--camera", "x"], "no camera 'x'"),
     (["render", "BLEND", "-o", "out", "--engine", "x"], "invalid choice"),
     (["render", "BLEND", "-o", "out", "--device", "gpu"], "'gpu' is no device: give one of auto, cpu"),
-    (["render", "BLEND", "-o", "out", "--device", "hip"], "--device hip: no HIP device that Cycles can use is here; there is CPU"),
-    (["render", "BLEND", "-o", "out", "--device", "cpu", "--engine", "path"], "--device chooses where Cycles renders; the path tracer is on the CPU"),
-    (["render", "BLEND", "-o", "out", "--texture-cache", "--engine", "path"], "--texture-cache is of Cycles; the path tracer is on the CPU"),
+    (
+        ["render", "BLEND", "-o", "out", "--device", "hip"],
+        "--device hip: no HIP device that Cycles can use is here; there is CPU",
+    ),
+    (
+        ["render", "BLEND", "-o", "out", "--device", "cpu", "--engine", "path"],
+        "--device chooses where Cycles renders; the path tracer is on the CPU",
+    ),
+    (
+        ["render", "BLEND", "-o", "out", "--texture-cache", "--engine", "path"],
+        "--texture-cache is of Cycles; the path tracer is on the CPU",
+    ),
     (["demo", "x", "-o", "x.blend"], "no demo scene"),
     (["demo", "mirror-city", "-o", "x.txt"], ".blend"),
     (["foo"], "unknown command"),
@@ -219,7 +275,13 @@ def bad_files(blend, tmp_path_factory):
     bpy.ops.object.camera_add()
     bpy.context.scene.camera = bpy.context.object
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "nothing.blend"))
-    files = {"BLEND": blend, "FOLDER": folder, "HALF": folder / "half.blend", "NOCAMERA": folder / "empty.blend", "NOTHING": folder / "nothing.blend"}
+    files = {
+        "BLEND": blend,
+        "FOLDER": folder,
+        "HALF": folder / "half.blend",
+        "NOCAMERA": folder / "empty.blend",
+        "NOTHING": folder / "nothing.blend",
+    }
     return {name: str(path) for name, path in files.items()}
 
 
@@ -238,7 +300,10 @@ def test_bad_input_is_one_line(arguments, says, bad_files, tmp_path, monkeypatch
 
 def test_scene_is_missing(tmp_path):
     done = command("render", "-o", tmp_path)
-    assert (done.returncode, done.stderr) == (2, "lipac render: SCENE is missing: name a .blend or another scene file\n")
+    assert (done.returncode, done.stderr) == (
+        2,
+        "lipac render: SCENE is missing: name a .blend or another scene file\n",
+    )
 
 
 def test_help_is_quick_and_needs_no_blender():
@@ -255,19 +320,19 @@ def no_thread(*_arguments):
 
 
 def test_our_own_errors_show_no_traceback(blend, tmp_path, monkeypatch, capfd):
-    from lipac.scripts import options
+    from lipac.scripts.command import frames
 
-    monkeypatch.setattr(options, "new_report", lambda *_: 1 / 0)
+    monkeypatch.setattr(frames, "new_report", lambda *_: 1 / 0)
     arguments = ["analyze", str(blend), "-o", str(tmp_path), "--quiet"]
     monkeypatch.delenv("LIPAC_DEBUG", raising=False)
     assert main(arguments) == 1
     err = capfd.readouterr().err
     assert err.count("\n") == 1
     assert "internal error: ZeroDivisionError" in err
-    monkeypatch.setattr(options, "new_report", no_thread)
+    monkeypatch.setattr(frames, "new_report", no_thread)
     assert main(arguments) == 1
     assert "allows no more threads" in capfd.readouterr().err
-    monkeypatch.setattr(options, "new_report", lambda *_: 1 / 0)
+    monkeypatch.setattr(frames, "new_report", lambda *_: 1 / 0)
     monkeypatch.setenv("LIPAC_DEBUG", "1")
     with pytest.raises(ZeroDivisionError):
         main(arguments)
@@ -275,8 +340,21 @@ def test_our_own_errors_show_no_traceback(blend, tmp_path, monkeypatch, capfd):
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_ctrl_c_keeps_finished_frames(blend, tmp_path):
-    arguments = ["render", str(blend), "-o", str(tmp_path), "--frames", "1-5000", "--cull", "frustum", "--quiet", *SMALL]
-    process = subprocess.Popen([sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE)
+    arguments = [
+        "render",
+        str(blend),
+        "-o",
+        str(tmp_path),
+        "--frames",
+        "1-5000",
+        "--cull",
+        "frustum",
+        "--quiet",
+        *SMALL,
+    ]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE
+    )
     limit = time.monotonic() + 120
     while not (tmp_path / "frame_0002.png").exists() and process.poll() is None and time.monotonic() < limit:
         time.sleep(0.05)
@@ -295,6 +373,8 @@ def test_demo(tmp_path):
     done = command("demo", "mirror-city", "-o", tmp_path / "city.blend", "--instances", "1000")
     assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'city.blend'}\n"), done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["city.blend"]
-    assert main(["analyze", str(tmp_path / "city.blend"), "-o", str(tmp_path / "a"), "--cull", "frustum", "--quiet"]) == 0
+    assert (
+        main(["analyze", str(tmp_path / "city.blend"), "-o", str(tmp_path / "a"), "--cull", "frustum", "--quiet"]) == 0
+    )
     report = json.loads((tmp_path / "a" / "report.json").read_text())
     assert abs(report["frames"][0]["instances"] - 1000) <= 10

@@ -13,14 +13,28 @@ from lipac.core.evaluation import evaluate, oracle
 from lipac.scripts import lipac
 
 
-def test_evaluate_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_evaluate_end_to_end(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name, value in {"PATHS": (1, 2), "EVERY": (4,), "LADDER": 3, "REFINEMENTS": 1, "SHARES": (1e-4, 1e-2)}.items():
         monkeypatch.setattr(evaluate, name, value)  # fewer rows of each kind
     monkeypatch.setattr(oracle, "SHARES", (1.0,))
     scene, out = tmp_path / "city.blend", tmp_path / "out"
     assert lipac.main(["demo", "mirror-city", "-o", str(scene), "--instances", "1000", "--quiet"]) == 0
     capfd.readouterr()
-    command = ["evaluate", str(scene), "-o", str(out), "--resolution", "64x36", "--samples", "2", "--budget-check", "1", "--ray-budget"]
+    command = [
+        "evaluate",
+        str(scene),
+        "-o",
+        str(out),
+        "--resolution",
+        "64x36",
+        "--samples",
+        "2",
+        "--budget-check",
+        "1",
+        "--ray-budget",
+    ]
     assert lipac.main(command) == 0
     shown = capfd.readouterr()
     assert "left)" in shown.err  # progress with the time left
@@ -44,8 +58,12 @@ def test_evaluate_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str], 
     assert json.loads((out / "evaluation.json").read_text())["equal_error"] == summary["equal_error"]
 
 
-@pytest.mark.parametrize(("arguments", "says"), [([], "SCENE is missing"), (["gone.blend"], "no such file: gone.blend")])
-def test_bad_input_is_one_line(arguments: list[str], says: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "says"), [([], "SCENE is missing"), (["gone.blend"], "no such file: gone.blend")]
+)
+def test_bad_input_is_one_line(
+    arguments: list[str], says: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert lipac.main(["evaluate", *arguments, "-o", str(tmp_path)]) == 2
     error = capfd.readouterr().err
     assert says in error

@@ -1,4 +1,5 @@
-"""Ranges of frames by the commands: killed, resumed, stopped in the midst of work that looks at nothing, and bad options."""
+"""Ranges of frames by the commands: killed, resumed, stopped in the midst of work that looks at nothing, and bad
+options."""
 
 import json
 import os
@@ -14,7 +15,7 @@ import pytest
 
 from lipac.core.files.report import load_states
 from lipac.lipac_addon.pictures import read_picture
-from lipac.scripts.arguments import byte_count
+from lipac.scripts.command.arguments import byte_count
 from lipac.scripts.lipac import main
 
 from ..lipac_addon.conftest import ground_and_boxes
@@ -40,7 +41,13 @@ def blend(tmp_path_factory):
 
 
 def started(*arguments):
-    return subprocess.Popen([sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE)
+    return subprocess.Popen(
+        [sys.executable, "-m", "lipac.scripts.lipac", *map(str, arguments)],
+        stdout=PIPE,
+        stderr=PIPE,
+        text=True,
+        **INTERRUPTIBLE,
+    )
 
 
 def states(folder):
@@ -71,9 +78,14 @@ def test_killed_again_and_again_then_resumed(blend, tmp_path):
     done = started(*arguments, "--resume")
     _, err = done.communicate(timeout=300)
     assert done.returncode == 0, err
-    assert main(["render", str(blend), "-o", str(tmp_path / "at once"), "--engine", "path", "--frames", "1-12", *SMALL]) == 0
+    assert (
+        main(["render", str(blend), "-o", str(tmp_path / "at once"), "--engine", "path", "--frames", "1-12", *SMALL])
+        == 0
+    )
     assert states(tmp_path / "killed") == states(tmp_path / "at once")
-    assert [f["frame"] for f in json.loads((tmp_path / "killed" / "report.json").read_text())["frames"]] == list(range(1, 13))
+    assert [f["frame"] for f in json.loads((tmp_path / "killed" / "report.json").read_text())["frames"]] == list(
+        range(1, 13)
+    )
     assert not list(tmp_path.rglob(".*.part.*"))
 
 
@@ -127,7 +139,24 @@ def test_save_a_baked_copy(blend, tmp_path):
     """The copy hides what no frame needs; the scene's own file is not touched."""
     before = blend.read_bytes()
     baked = tmp_path / "baked.blend"
-    assert main(["analyze", str(blend), "-o", str(tmp_path), "--frames", "1-2", "--bake", "shot", "--save", str(baked), *SMALL[2:]]) == 0
+    assert (
+        main(
+            [
+                "analyze",
+                str(blend),
+                "-o",
+                str(tmp_path),
+                "--frames",
+                "1-2",
+                "--bake",
+                "shot",
+                "--save",
+                str(baked),
+                *SMALL[2:],
+            ]
+        )
+        == 0
+    )
     assert blend.read_bytes() == before
     kept = load_states(tmp_path / "states" / "frame_0001.npz")
     culled = {kept.names[k] for k in kept.keys["object"][kept.state == 0]}
@@ -157,14 +186,25 @@ BAD = [
 @pytest.mark.parametrize(("arguments", "says"), BAD, ids=[" ".join(a) for a, _ in BAD])
 def test_bad_options(blend, tmp_path, arguments, says, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["analyze", str(blend), "-o", "out", "--quiet", *(str(blend) if a == "BLEND" else a for a in arguments)]) == 2
+    assert (
+        main(["analyze", str(blend), "-o", "out", "--quiet", *(str(blend) if a == "BLEND" else a for a in arguments)])
+        == 2
+    )
     err = capfd.readouterr().err
     assert says in err
     assert err.count("\n") == 1
 
 
 def test_sizes():
-    good = {"2G": 2_000_000_000, "500M": 500_000_000, "64k": 64_000, "2Gi": 2**31, "1.5g": 1_500_000_000, "10MB": 10_000_000, "123": 123}
+    good = {
+        "2G": 2_000_000_000,
+        "500M": 500_000_000,
+        "64k": 64_000,
+        "2Gi": 2**31,
+        "1.5g": 1_500_000_000,
+        "10MB": 10_000_000,
+        "123": 123,
+    }
     assert {text: byte_count(text) for text in good} == good
     for text in ("", "G", "-1", "2X", "1e9", "0", "2i", "99999999T", "1 2"):
         with pytest.raises(Exception, match="is no size"):
@@ -216,19 +256,33 @@ sys.exit(main(sys.argv[1:]))
 def test_ctrl_c_while_blender_starts(blend, tmp_path):
     """It is not lost, and does not leave a Blender without Cycles to go on with."""
     arguments = ["analyze", str(blend), "-o", str(tmp_path), "--frames", "1-3", *SMALL[2:]]
-    done = subprocess.run([sys.executable, "-c", STARTING, *arguments], capture_output=True, text=True, timeout=120, check=False, **INTERRUPTIBLE)
+    done = subprocess.run(
+        [sys.executable, "-c", STARTING, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        **INTERRUPTIBLE,
+    )
     assert done.stdout == "starting\n"
     assert done.returncode == 130
     assert done.stderr.endswith(": stopped; finished frames and their report are kept\n")
 
 
 @POSIX
-@pytest.mark.parametrize("work", ["ctypes.CDLL(None).sleep(300)", "__import__('time').sleep(0.01) or [0 for _ in iter(int, 1)]"], ids=["in C", "in Python"])
+@pytest.mark.parametrize(
+    "work",
+    ["ctypes.CDLL(None).sleep(300)", "__import__('time').sleep(0.01) or [0 for _ in iter(int, 1)]"],
+    ids=["in C", "in Python"],
+)
 def test_ctrl_c_in_work_that_looks_at_nothing(blend, tmp_path, work):
-    """The process ends although the main thread is in the midst of minutes of work, and says so; the report of the first frame is whole."""
+    """The process ends although the main thread is in the midst of minutes of work, and says so; the report of the
+    first frame is whole."""
     code = STUCK.format(work=work)
     arguments = ["analyze", str(blend), "-o", str(tmp_path), "--frames", "1-3", *SMALL[2:]]
-    process = subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE)
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE
+    )
     assert any(line == "stuck\n" for line in process.stdout)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)

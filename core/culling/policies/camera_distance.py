@@ -15,4 +15,12 @@ def keep_either(scene: Scene, distance: float = DISTANCE.default) -> np.ndarray:
     return keep_frustum(scene) | keep_distance(scene, distance)
 
 
-POLICY = Policy("camera+distance", "Camera view and distance", "Keep what is in the camera's view or near it", 4, keep_either, DISTANCE, listed=False)
+POLICY = Policy(
+    "camera+distance",
+    "Camera view and distance",
+    "Keep what is in the camera's view or near it",
+    4,
+    keep_either,
+    DISTANCE,
+    listed=False,
+)

@@ -9,9 +9,12 @@ from .policy import Policy, Setting, blockwise, extent
 
 
 def keep_distance(scene: Scene, distance: float = 50.0) -> np.ndarray:
-    """Instances whose axis-aligned box comes within distance (metres) of the camera: (N,) bool. Cycles' Simplify > Distance Culling."""
+    """Instances whose axis-aligned box comes within distance (metres) of the camera: (N,) bool. Cycles' Simplify >
+    Distance Culling."""
     eye = scene.camera.to_world[:, 3]
-    return blockwise(scene, lambda c: np.linalg.norm(np.clip(eye, c.min(axis=1), c.max(axis=1)) - eye, axis=1) <= distance)
+    return blockwise(
+        scene, lambda c: np.linalg.norm(np.clip(eye, c.min(axis=1), c.max(axis=1)) - eye, axis=1) <= distance
+    )
 
 
 DISTANCE = Setting(

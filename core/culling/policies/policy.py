@@ -17,8 +17,9 @@ BLOCK = 1 << 17  # instances at a time: temporaries stay small at a million
 class Setting:
     """The number that a rule goes by.
 
-    name: of the command's option and of the panel's property, such as solid_angle; label, description: in the panel; unit: in the command's help, M for metres;
-    default; most: the largest value; kind: Blender's subtype of the property. ladder: of a scene, values from least kept to most, for `lipac evaluate`.
+    name: of the command's option and of the panel's property, such as solid_angle; label, description: in the panel;
+    unit: in the command's help, M for metres; default; most: the largest value; kind: Blender's subtype of the
+    property. ladder: of a scene, values from least kept to most, for `lipac evaluate`.
     """
 
     name: str
@@ -40,9 +41,9 @@ class Setting:
 class Policy:
     """What decides which instances stay.
 
-    name: on the command line; label, description: in the panel. rank: place in lists, and its number in saved files: a new policy takes the next one.
-    keep: of a scene and the value of the setting, (N,) bool instances that stay; None where light paths decide. listed: whether users are offered it; else it
-    is there to be compared with.
+    name: on the command line; label, description: in the panel. rank: place in lists, and its number in saved files: a
+    new policy takes the next one. keep: of a scene and the value of the setting, (N,) bool instances that stay; None
+    where light paths decide. listed: whether users are offered it; else it is there to be compared with.
     """
 
     name: str

@@ -12,7 +12,8 @@ from .policy import Policy, Setting, blockwise
 def keep_solid_angle(scene: Scene, degrees: float = 1.0) -> np.ndarray:
     """Instances whose bounding sphere spans at least this angle at the camera, or contains it: (N,) bool.
 
-    Size over distance, the culling of ray-traced games (Deligiannis and Schmid, "It Just Works: Ray-Traced Reflections in Battlefield V", GDC 2019).
+    Size over distance, the culling of ray-traced games (Deligiannis and Schmid, "It Just Works: Ray-Traced Reflections
+    in Battlefield V", GDC 2019).
     """
     eye = scene.camera.to_world[:, 3]
     limit = np.sin(np.radians(degrees) / 2)

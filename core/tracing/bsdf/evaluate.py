@@ -1,5 +1,4 @@
-"""What a surface scatters from one direction into another, and the density with which it is sampled; see `setup`.
-"""
+"""What a surface scatters from one direction into another, and the density with which it is sampled; see `setup`."""
 
 from __future__ import annotations
 
@@ -49,9 +48,11 @@ from .lobes import (
 
 @njit(**INNER)
 def _bump_shadowing(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float) -> float:
-    """What a bent normal leaves of light from w: none from behind the smooth surface, and for diffuse lobes a soft terminator.
+    """What a bent normal leaves of light from w: none from behind the smooth surface, and for diffuse lobes a soft
+    terminator.
 
-    (Conty Estevez, Lecocq, Stein, "A microfacet-based shadowing function to solve the bump terminator problem", Ray Tracing Gems, 2019.)
+    (Conty Estevez, Lecocq, Stein, "A microfacet-based shadowing function to solve the bump terminator problem", Ray
+    Tracing Gems, 2019.)
     """
     sx, sy, sz = c[C_FRAME + F_NS], c[C_FRAME + F_NS + 1], c[C_FRAME + F_NS + 2]
     nx, ny, nz = c[o + LOBE_N], c[o + LOBE_N + 1], c[o + LOBE_N + 2]
@@ -71,7 +72,8 @@ def _bump_shadowing(c: Any, o: int, wx: float, wy: float, wz: float, sampled: fl
 
 @njit(**INNER)
 def add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float, out: Any) -> float:
-    """Add lobe o's weighted f * |cos| towards w to out[O_WEIGHT:]; returns its pdf. sampled: 1 where w was sampled from this lobe."""
+    """Add lobe o's weighted f * |cos| towards w to out[O_WEIGHT:]; returns its pdf. sampled: 1 where w was sampled from
+    this lobe."""
     kind = c[o + LOBE_KIND]
     nx, ny, nz = c[o + LOBE_N], c[o + LOBE_N + 1], c[o + LOBE_N + 2]
     cos_o = nx * wx + ny * wy + nz * wz
@@ -102,7 +104,12 @@ def add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float, ou
 
     alpha2 = c[o + LOBE_ALPHA] * c[o + LOBE_ALPHA]
     transmit = cos_o < 0.0
-    if kind == TRANSPARENT_LOBE or cos_i <= 0.0 or alpha2 <= SINGULAR_ALPHA2 or kind == (REFLECTION if transmit else REFRACTION):
+    if (
+        kind == TRANSPARENT_LOBE
+        or cos_i <= 0.0
+        or alpha2 <= SINGULAR_ALPHA2
+        or kind == (REFLECTION if transmit else REFRACTION)
+    ):
         return 0.0
     # Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007.
     eta = c[o + LOBE_ETA]
@@ -138,10 +145,12 @@ def add_eval(c: Any, o: int, wx: float, wy: float, wz: float, sampled: float, ou
 
 @njit(**OPTIONS)
 def bsdf_eval(closure: Any, wx: float, wy: float, wz: float, out: Any, visibility: int = ALL_RAYS) -> None:
-    """Value of the BSDF towards the unit direction w: out[0:3] = f * |cos|, out[O_PDF] = pdf. w below the surface means transmission.
+    """Value of the BSDF towards the unit direction w: out[0:3] = f * |cos|, out[O_PDF] = pdf. w below the surface means
+    transmission.
 
-    visibility: bit per RayType, of the light that is looked at: lobes whose rays do not see it count for nothing (glass needs but one of its two).
-    Like Cycles, it tests w against the normals that the lobes use, not against the geometric normal: smooth shading would show the triangles.
+    visibility: bit per RayType, of the light that is looked at: lobes whose rays do not see it count for nothing (glass
+    needs but one of its two). Like Cycles, it tests w against the normals that the lobes use, not against the geometric
+    normal: smooth shading would show the triangles.
     """
     out[O_WEIGHT] = out[O_WEIGHT + 1] = out[O_WEIGHT + 2] = 0.0
     x, y, z = np.float64(wx), np.float64(wy), np.float64(wz)  # one variant of what follows

@@ -1,13 +1,15 @@
 """Directional albedo of GGX microfacet lobes: the tables behind energy preservation and layering in `bsdf`.
 
-A single-scattering GGX lobe loses the light that bounces between microfacets. Cycles scales it up by 1 / E, where E(roughness, cos) is the lobe's
-albedo without Fresnel darkening (Turquin, "Practical multiple scattering compensation for microfacet models", 2019), and weakens the layers below a
-specular one by its albedo. The tables have the grid of Cycles' own (so interpolation errors are the same), but are integrated here, by quadrature
-over visible normals. `python -m lipac.core.tracing.bsdf.ggx_albedo` writes them to ggx_albedo.npz (deterministic, some minutes).
+A single-scattering GGX lobe loses the light that bounces between microfacets. Cycles scales it up by 1 / E, where
+E(roughness, cos) is the lobe's albedo without Fresnel darkening (Turquin, "Practical multiple scattering compensation
+for microfacet models", 2019), and weakens the layers below a specular one by its albedo. The tables have the grid of
+Cycles' own (so interpolation errors are the same), but are integrated here, by quadrature over visible normals. `python
+-m lipac.core.tracing.bsdf.ggx_albedo` writes them to ggx_albedo.npz (deterministic, some minutes).
 
-Axes of every table: [z, y, roughness] on [0, 1], with z = sqrt((ior - 1) / (ior + 1)), and y the cosine, or its square root in the finer tables of
-Blender 5.3 ("fine_"); an axis that does not matter has length 1. Blender before 5.3 counts refracted rays that its sampling rejects, and so loses light in
-rough glass seen from inside; so do we, to agree with it.
+Axes of every table: [z, y, roughness] on [0, 1], with z = sqrt((ior - 1) / (ior + 1)), and y the cosine, or its square
+root in the finer tables of Blender 5.3 ("fine_"); an axis that does not matter has length 1. Blender before 5.3 counts
+refracted rays that its sampling rejects, and so loses light in rough glass seen from inside; so do we, to agree with
+it.
 """
 
 from __future__ import annotations
@@ -35,15 +37,19 @@ def _smith(alpha2: float, cos: float) -> float:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def integrate(kind: int, roughness: float, mu: float, ior: float, steps: int) -> float:
-    """Mean over the visible normals of GGX seen under cosine mu (roughness in (0, 1], mu in (0, 1]), steps**2 quadrature points.
+    """Mean over the visible normals of GGX seen under cosine mu (roughness in (0, 1], mu in (0, 1]), steps**2
+    quadrature points.
 
-    REFLECTION: albedo of the reflection lobe without Fresnel. GLASS: albedo of reflection plus refraction with dielectric Fresnel; GLASS_BELOW: without the
-    refracted rays that do not end below the surface (rough glass seen from inside near total reflection), which sampling rejects.
-    SCHLICK, SCHLICK_IOR: mean position between F0 and F90 of (1 - cos)**5, or of the dielectric Fresnel curve, where reflection leaves the surface.
+    REFLECTION: albedo of the reflection lobe without Fresnel. GLASS: albedo of reflection plus refraction with
+    dielectric Fresnel; GLASS_BELOW: without the refracted rays that do not end below the surface (rough glass seen from
+    inside near total reflection), which sampling rejects.
+    SCHLICK, SCHLICK_IOR: mean position between F0 and F90 of (1 - cos)**5, or of the dielectric Fresnel curve, where
+    reflection leaves the surface.
     """
     alpha = roughness * roughness
     alpha2 = alpha * alpha
-    # Heitz and d'Eon's distribution of visible normals by spherical caps (Dupuy, Benyoub 2023); wi lies in the xz plane.
+    # Heitz and d'Eon's distribution of visible normals by spherical caps (Dupuy, Benyoub 2023); wi lies in the xz
+    # plane.
     wx = math.sqrt(1.0 - mu * mu)
     scale = 1.0 / math.sqrt((alpha * wx) ** 2 + mu * mu)
     sx, sz = alpha * wx * scale, mu * scale
@@ -89,7 +95,11 @@ def integrate(kind: int, roughness: float, mu: float, ior: float, steps: int) ->
                 continue
             # Refraction at nearly equal indices passes straight through, unshadowed.
             straight = singular or abs(ior - 1.0) < 1e-4
-            total += weight * (1.0 - fresnel) * (1.0 if straight else (1.0 + lambda_i) / (1.0 + lambda_i + _smith(alpha2, cos_to)))
+            total += (
+                weight
+                * (1.0 - fresnel)
+                * (1.0 if straight else (1.0 + lambda_i) / (1.0 + lambda_i + _smith(alpha2, cos_to)))
+            )
     return total / (steps * steps)
 
 
@@ -118,12 +128,15 @@ def directional(kind: int, size: int, iors: list[float], steps: int, cosines: li
 
 
 def average(kind: int, size: int, iors: list[float], steps: int) -> F32:
-    """Table (len(iors), 1, size) of the cosine-weighted mean 2 * integral of mu * E(mu), by Gauss-Legendre quadrature."""
+    """Table (len(iors), 1, size) of the cosine-weighted mean 2 * integral of mu * E(mu), by Gauss-Legendre
+    quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(48)
     mus, weights = 0.5 * (nodes + 1.0), weights * 0.5
 
     def mean(entry: tuple[float, float]) -> float:
-        return sum(2.0 * m * w * integrate(kind, entry[1], m, entry[0], steps) for m, w in zip(mus, weights, strict=True))
+        return sum(
+            2.0 * m * w * integrate(kind, entry[1], m, entry[0], steps) for m, w in zip(mus, weights, strict=True)
+        )
 
     with ThreadPoolExecutor() as pool:
         values = list(pool.map(mean, product(iors, grid(size))))
@@ -131,7 +144,8 @@ def average(kind: int, size: int, iors: list[float], steps: int) -> F32:
 
 
 def compute(steps: int = 512) -> dict[str, F32]:
-    """Every table by name; steps**2 quadrature points an entry (a quarter of that in the finer tables, a sixteenth below the averages)."""
+    """Every table by name; steps**2 quadrature points an entry (a quarter of that in the finer tables, a sixteenth
+    below the averages)."""
     iors, fine_iors, cosines = ior_grid(16), ior_grid(32), fine_cosines(32)
     inverse, fine_inverse = [1.0 / ior for ior in iors], [1.0 / ior for ior in fine_iors]
     half, coarse = max(steps // 2, 1), max(steps // 4, 1)

@@ -1,4 +1,5 @@
-"""Lobes of a surface: the arrays of one shading point, energy tables, and how lobes are added with their colours, Fresnel terms and albedo. See `bsdf`."""
+"""Lobes of a surface: the arrays of one shading point, energy tables, and how lobes are added with their colours,
+Fresnel terms and albedo. See `bsdf`."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from ...jit.sampling import INNER
 from ...scene.model import RayType, Shader, Shading
 from . import ggx_albedo
 
-# params: evaluated material inputs. Each is the MATERIAL field of that name (times its texture); nothing is squared or premultiplied.
+# params: evaluated material inputs. Each is the MATERIAL field of that name (times its texture); nothing is squared or
+# premultiplied.
 P_BASE = 0  # base_color, 3 floats
 P_METALLIC = 3
 P_ROUGHNESS = 4  # as in the socket: alpha = roughness**2
@@ -28,7 +30,8 @@ P_COAT_IOR = 15
 P_COAT_TINT = 16  # 3 floats
 PARAMS = 19
 
-# frame: directions at the point, 3 floats each. All normals face the side that the path came from (dot(ng, wi) >= 0; n and ns flip together with ng).
+# frame: directions at the point, 3 floats each. All normals face the side that the path came from (dot(ng, wi) >= 0; n
+# and ns flip together with ng).
 F_WI = 0  # from the point to where the path came from
 F_N = 3  # shading normal: interpolated, then bent by a normal map
 F_NS = 6  # smooth normal: interpolated from the mesh only; equal to F_N (bit for bit) where there is no normal map
@@ -82,10 +85,13 @@ LOBE = 26
 _MAX_LOBES = 6  # transparent, coat, metal, glass, specular, diffuse
 CLOSURE = C_LOBES + _MAX_LOBES * LOBE
 
-# Kinds are floats: they live in a float array, and numba would compile a function anew for each literal integer or boolean that it is called with.
+# Kinds are floats: they live in a float array, and numba would compile a function anew for each literal integer or
+# boolean that it is called with.
 LAMBERT, OREN_NAYAR, TRANSLUCENT, TRANSPARENT_LOBE, REFLECTION, REFRACTION, GLASS = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
 CONSTANT, SCHLICK, F82 = 0.0, 1.0, 2.0
-DIFFUSE_RAYS, GLOSSY_RAYS, TRANSMISSION_RAYS = (1 << int(t) for t in (RayType.DIFFUSE, RayType.GLOSSY, RayType.TRANSMISSION))
+DIFFUSE_RAYS, GLOSSY_RAYS, TRANSMISSION_RAYS = (
+    1 << int(t) for t in (RayType.DIFFUSE, RayType.GLOSSY, RayType.TRANSMISSION)
+)
 GLASS_RAYS = GLOSSY_RAYS | TRANSMISSION_RAYS
 
 CUTOFF = 1e-5  # lobes of less weight are dropped, as in Cycles
@@ -103,13 +109,23 @@ PRINCIPLED, DIFFUSE_SHADER, GLOSSY_SHADER, GLASS_SHADER, TRANSPARENT_SHADER, REF
 )
 
 # Energy tables, one after the other: a kernel holds one constant and one kind of lookup, which halves its compile time.
-_COARSE = ("reflection", "reflection_mean", "glass", "glass_mean", "glass_inside", "glass_inside_mean", "schlick", "schlick_ior")
+_COARSE = (
+    "reflection",
+    "reflection_mean",
+    "glass",
+    "glass_mean",
+    "glass_inside",
+    "glass_inside_mean",
+    "schlick",
+    "schlick_ior",
+)
 _NAMES = (*_COARSE, *(f"fine_{name}" for name in _COARSE))
 _loaded = ggx_albedo.load()
 _TABLES = np.concatenate([_loaded[name].ravel() for name in _NAMES])
 _SIZES = np.array([_loaded[name].shape for name in _NAMES])  # (16, 3) lengths of the axes z, y, roughness
 _OFFSETS = np.concatenate(([0], np.cumsum(_SIZES.prod(axis=1))[:-1]))
-_REFLECTION_E, _GLASS_E, _INSIDE_E, _SCHLICK_S, _SCHLICK_IOR_S = 0, 2, 4, 6, 7  # the mean of a table over cosines is the next one
+# the mean of a table over cosines is the next one
+_REFLECTION_E, _GLASS_E, _INSIDE_E, _SCHLICK_S, _SCHLICK_IOR_S = 0, 2, 4, 6, 7
 _FINE = len(_COARSE)  # from a table to its finer one
 
 
@@ -136,7 +152,8 @@ def _lookup(which: int, z: float, y: float, x: float) -> float:
 
 @njit(**INNER)
 def dielectric_fresnel(cos: float, eta: float) -> tuple[float, float]:
-    """Unpolarised Fresnel reflectance of a dielectric, and the cosine (negative: beyond the surface) of the refracted ray; 1, 0 at total reflection."""
+    """Unpolarised Fresnel reflectance of a dielectric, and the cosine (negative: beyond the surface) of the refracted
+    ray; 1, 0 at total reflection."""
     squared = eta * eta - (1.0 - cos * cos)
     if squared <= 0.0:
         return 1.0, 0.0
@@ -154,7 +171,8 @@ def normal_reflectance(ior: float) -> float:
 
 @njit(**INNER)
 def fresnel(c: Any, o: int, k: int, cos: float, dielectric: float) -> tuple[float, float]:
-    """Reflectance and transmittance of lobe o in channel k at cosine cos to the microfacet, where the dielectric reflectance there is known."""
+    """Reflectance and transmittance of lobe o in channel k at cosine cos to the microfacet, where the dielectric
+    reflectance there is known."""
     kind = c[o + LOBE_FRESNEL]
     if kind == SCHLICK:  # the true curve, remapped from [F0, 1] to [f0, 1]
         f0 = normal_reflectance(c[o + LOBE_ETA])
@@ -187,7 +205,8 @@ def oren_nayar_g(cos: float) -> float:
 
 @njit(**INNER)
 def add_lobe(c: Any, kind: float, r: float, g: float, b: float, alpha: float, eta: float, n: Any) -> int:
-    """Append a lobe of weight (r, g, b) with normal n; returns its offset in closure, -1 where it weighs too little to matter."""
+    """Append a lobe of weight (r, g, b) with normal n; returns its offset in closure, -1 where it weighs too little to
+    matter."""
     r, g, b = max(r, 0.0), max(g, 0.0), max(b, 0.0)
     pick = (r + g + b) / 3.0
     if not (pick >= CUTOFF and pick < math.inf):
@@ -209,10 +228,11 @@ def add_lobe(c: Any, kind: float, r: float, g: float, b: float, alpha: float, et
 
 @njit(**INNER)
 def layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float) -> tuple[float, float, float]:
-    """Finish GGX lobe o: sampling weight, energy preservation. Returns the share of light that layers below it keep, by channel.
+    """Finish GGX lobe o: sampling weight, energy preservation. Returns the share of light that layers below it keep, by
+    channel.
 
-    fss: mean single-scattering Fresnel reflectance, which colours what bounces between microfacets (Kulla, Conty, "Revisiting physically based shading
-    at Imageworks", 2017, as a multiplier on single scattering).
+    fss: mean single-scattering Fresnel reflectance, which colours what bounces between microfacets (Kulla, Conty,
+    "Revisiting physically based shading at Imageworks", 2017, as a multiplier on single scattering).
     """
     cos = c[C_FRAME] * c[o + LOBE_N] + c[C_FRAME + 1] * c[o + LOBE_N + 1] + c[C_FRAME + 2] * c[o + LOBE_N + 2]
     rough = math.sqrt(c[o + LOBE_ALPHA])
@@ -256,15 +276,21 @@ def layer(c: Any, o: int, fss_r: float, fss_g: float, fss_b: float) -> tuple[flo
 
 @njit(**INNER)
 def set_schlick(c: Any, o: int, f0: float, r: float, g: float, b: float) -> tuple[float, float, float]:
-    """Give lobe o Fresnel reflectance from f0 * (r, g, b) to 1 along the dielectric curve (tints set before), and finish it. Returns as `layer`."""
+    """Give lobe o Fresnel reflectance from f0 * (r, g, b) to 1 along the dielectric curve (tints set before), and
+    finish it. Returns as `layer`."""
     c[o + LOBE_FRESNEL] = SCHLICK
     c[o + LOBE_F0], c[o + LOBE_F0 + 1], c[o + LOBE_F0 + 2] = clip(f0 * r), clip(f0 * g), clip(f0 * b)
     eta = c[o + LOBE_ETA]
     # Mean of the dielectric reflectance over cosines, fitted by Kulla and Conty (2017).
-    fss = 0.997118 + eta * (0.1014 - eta * (0.965241 + eta * 0.130607)) if eta < 1.0 else (eta - 1.0) / (4.08567 + 1.00071 * eta)
+    fss = (
+        0.997118 + eta * (0.1014 - eta * (0.965241 + eta * 0.130607))
+        if eta < 1.0
+        else (eta - 1.0) / (4.08567 + 1.00071 * eta)
+    )
     real = normal_reflectance(eta)
     s = clip((fss - real) / (1.0 - real))
-    fr, fg, fb = c[o + LOBE_TINT_T], c[o + LOBE_TINT_T + 1], c[o + LOBE_TINT_T + 2]  # the colour of glass comes mostly from transmission
+    # the colour of glass comes mostly from transmission
+    fr, fg, fb = c[o + LOBE_TINT_T], c[o + LOBE_TINT_T + 1], c[o + LOBE_TINT_T + 2]
     if fr == 0.0 and fg == 0.0 and fb == 0.0:
         fr = c[o + LOBE_TINT_R] * (c[o + LOBE_F0] + (1.0 - c[o + LOBE_F0]) * s)
         fg = c[o + LOBE_TINT_R + 1] * (c[o + LOBE_F0 + 1] + (1.0 - c[o + LOBE_F0 + 1]) * s)
@@ -280,7 +306,8 @@ def set_tints(c: Any, o: int, reflection: float, transmission: float) -> None:
 
 @njit(**INNER)
 def add_diffuse(c: Any, r: float, g: float, b: float, roughness: float, n: Any) -> None:
-    """Lambert, or Fujii's Oren-Nayar with multiple scattering coloured by the base colour (https://mimosa-pudica.net/improved-oren-nayar.html).
+    """Lambert, or Fujii's Oren-Nayar with multiple scattering coloured by the base colour
+    (https://mimosa-pudica.net/improved-oren-nayar.html).
 
     Cycles before Blender 5.3 takes the colour of what scatters more than once to a higher power.
     """
@@ -302,9 +329,11 @@ def add_diffuse(c: Any, r: float, g: float, b: float, roughness: float, n: Any) 
 
 @njit(**INNER)
 def lift(c: Any, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
-    """The shading normal n, turned towards the geometric normal until the mirror direction of wi leaves the surface, as Cycles does for glossy lobes.
+    """The shading normal n, turned towards the geometric normal until the mirror direction of wi leaves the surface, as
+    Cycles does for glossy lobes.
 
-    In the plane of ng (z) and n (x), n' = (sin a, cos a) mirrors wi to height z' = 2 (n'.wi) cos a - wi.z; z' = t gives a quadratic in cos(a)**2.
+    In the plane of ng (z) and n (x), n' = (sin a, cos a) mirrors wi to height z' = 2 (n'.wi) cos a - wi.z; z' = t gives
+    a quadratic in cos(a)**2.
     """
     ix, iy, iz = c[C_FRAME + F_WI], c[C_FRAME + F_WI + 1], c[C_FRAME + F_WI + 2]
     gx, gy, gz = c[C_FRAME + F_NG], c[C_FRAME + F_NG + 1], c[C_FRAME + F_NG + 2]

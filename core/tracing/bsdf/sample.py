@@ -1,5 +1,4 @@
-"""Directions picked in proportion to what lobes scatter; see `setup`.
-"""
+"""Directions picked in proportion to what lobes scatter; see `setup`."""
 
 from __future__ import annotations
 
@@ -45,7 +44,8 @@ from .lobes import (
 
 @njit(**INNER)
 def _basis(x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[float, float, float]:
-    """(x, y, z) of the frame around the unit normal n, in world space (Duff et al., "Building an orthonormal basis, revisited", JCGT 6(1), 2017)."""
+    """(x, y, z) of the frame around the unit normal n, in world space (Duff et al., "Building an orthonormal basis,
+    revisited", JCGT 6(1), 2017)."""
     sign = math.copysign(1.0, nz)
     a = -1.0 / (sign + nz)
     b = nx * ny * a
@@ -71,7 +71,8 @@ def _local(x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tup
 
 @njit(**INNER)
 def _microfacet(c: Any, o: int, u0: float, u1: float) -> tuple[float, float, float]:
-    """A visible normal of GGX lobe o (Dupuy, Benyoub, "Sampling visible GGX normals with spherical caps", HPG 2023), world space."""
+    """A visible normal of GGX lobe o (Dupuy, Benyoub, "Sampling visible GGX normals with spherical caps", HPG 2023),
+    world space."""
     nx, ny, nz = c[o + LOBE_N], c[o + LOBE_N + 1], c[o + LOBE_N + 2]
     alpha = c[o + LOBE_ALPHA]
     if alpha * alpha <= SINGULAR_ALPHA2:
@@ -90,7 +91,8 @@ def _microfacet(c: Any, o: int, u0: float, u1: float) -> tuple[float, float, flo
 
 @njit(**OPTIONS)
 def bsdf_sample(closure: Any, u0: float, u1: float, u2: float, out: Any) -> int:
-    """Sample a direction with three uniform numbers of [0, 1). Returns label bits, 0 where the path is absorbed; out as O_* say."""
+    """Sample a direction with three uniform numbers of [0, 1). Returns label bits, 0 where the path is absorbed; out as
+    O_* say."""
     c = closure
     end = C_LOBES + int(c[C_COUNT]) * LOBE
     picks = 0.0
@@ -124,7 +126,9 @@ def bsdf_sample(closure: Any, u0: float, u1: float, u2: float, out: Any) -> int:
     if kind < TRANSPARENT_LOBE:
         side = -1.0 if kind == TRANSLUCENT else 1.0
         radius, phi = math.sqrt(u0), 2.0 * math.pi * u1
-        wx, wy, wz = _basis(radius * math.cos(phi), radius * math.sin(phi), side * math.sqrt(max(0.0, 1.0 - u0)), nx, ny, nz)
+        wx, wy, wz = _basis(
+            radius * math.cos(phi), radius * math.sin(phi), side * math.sqrt(max(0.0, 1.0 - u0)), nx, ny, nz
+        )
         if side * (gx * wx + gy * wy + gz * wz) <= 0.0:
             return 0
         label = (TRANSMIT if kind == TRANSLUCENT else REFLECT) | DIFFUSE
@@ -158,7 +162,9 @@ def bsdf_sample(closure: Any, u0: float, u1: float, u2: float, out: Any) -> int:
         if c[o + LOBE_ALPHA] * c[o + LOBE_ALPHA] <= SINGULAR_ALPHA2 or (refract and abs(eta - 1.0) < 1e-4):
             for k in range(3):
                 r, t = fresnel(c, o, k, cos_hi, dielectric)
-                out[O_WEIGHT + k] = c[o + LOBE_WEIGHT + k] * c[o + LOBE_SCALE] * (t if refract else r) / share * picks / pick
+                out[O_WEIGHT + k] = (
+                    c[o + LOBE_WEIGHT + k] * c[o + LOBE_SCALE] * (t if refract else r) / share * picks / pick
+                )
             out[O_WO], out[O_WO + 1], out[O_WO + 2] = wx, wy, wz
             out[O_PDF] = DELTA * share * pick / picks
             return label | SINGULAR

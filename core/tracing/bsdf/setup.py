@@ -1,8 +1,9 @@
 """Surface scattering as Cycles models it, before and since Blender 5.3: numba functions for one shading point.
 
-Principled BSDF, Diffuse, Glossy, Glass, Refraction, Translucent and Transparent BSDF, with Multiscatter GGX where Blender offers it (its default).
-Sheen, subsurface, anisotropy, thin film and thin walls are not modelled. `bsdf_setup` turns a material into a list of lobes, each with a weight;
-sampling picks a lobe in proportion to its estimated albedo and combines the densities of all (one-sample balance heuristic, Veach 1995).
+Principled BSDF, Diffuse, Glossy, Glass, Refraction, Translucent and Transparent BSDF, with Multiscatter GGX where
+Blender offers it (its default). Sheen, subsurface, anisotropy, thin film and thin walls are not modelled. `bsdf_setup`
+turns a material into a list of lobes, each with a weight; sampling picks a lobe in proportion to its estimated albedo
+and combines the densities of all (one-sample balance heuristic, Veach 1995).
 
 A caller owns four scratch arrays and reuses them for every point:
   params  float32[PARAMS]   evaluated inputs of the material, slots P_* (colours take three)
@@ -87,8 +88,9 @@ from .lobes import (
 
 @njit(**INNER)
 def _below_coat(c: Any, coat: float, keep: float, albedo: float, tint: float, depth: float) -> float:
-    """What layers below a coat of this weight get, in a channel. keep: what its reflection leaves, energy preservation included, and albedo: that of its
-    reflection without; the tint absorbs (Beer) at optical depth `depth`, and is kept finite where it is above 1."""
+    """What layers below a coat of this weight get, in a channel. keep: what its reflection leaves, energy preservation
+    included, and albedo: that of its reflection without; the tint absorbs (Beer) at optical depth `depth`, and is kept
+    finite where it is above 1."""
     through = min(max(tint, 0.0) ** depth, 1e6)
     if c[C_MODEL] != 0.0:  # coated and bare parts side by side
         return clip(1.0 - coat * (1.0 - through * (1.0 - albedo)))
@@ -108,11 +110,14 @@ def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
     coat = max(c[C_PARAMS + P_COAT], 0.0)
     if coat > CUTOFF:
         ior = max(c[C_PARAMS + P_COAT_IOR], 1.0)
-        smooth = lift(c, c[C_FRAME + F_NS], c[C_FRAME + F_NS + 1], c[C_FRAME + F_NS + 2])  # a normal map bends what lies below, not the coat
+        # a normal map bends what lies below, not the coat
+        smooth = lift(c, c[C_FRAME + F_NS], c[C_FRAME + F_NS + 1], c[C_FRAME + F_NS + 2])
         cos = c[C_FRAME] * smooth[0] + c[C_FRAME + 1] * smooth[1] + c[C_FRAME + 2] * smooth[2]
         keep, albedo = 1.0, 0.0
         if reflective:
-            o = add_lobe(c, REFLECTION, coat * wr, coat * wg, coat * wb, clip(c[C_PARAMS + P_COAT_ROUGHNESS]) ** 2, ior, smooth)
+            o = add_lobe(
+                c, REFLECTION, coat * wr, coat * wg, coat * wb, clip(c[C_PARAMS + P_COAT_ROUGHNESS]) ** 2, ior, smooth
+            )
             if o >= 0:
                 set_tints(c, o, 1.0, 0.0)
                 keep, _, _ = set_schlick(c, o, normal_reflectance(ior), 1.0, 1.0, 1.0)
@@ -127,11 +132,19 @@ def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
 
     rough = clip(c[C_PARAMS + P_ROUGHNESS]) ** 2
     ior = max(c[C_PARAMS + P_IOR], 1e-5)
-    tint_r, tint_g, tint_b = max(c[C_PARAMS + P_SPECULAR_TINT], 0.0), max(c[C_PARAMS + P_SPECULAR_TINT + 1], 0.0), max(c[C_PARAMS + P_SPECULAR_TINT + 2], 0.0)
+    tint_r, tint_g, tint_b = (
+        max(c[C_PARAMS + P_SPECULAR_TINT], 0.0),
+        max(c[C_PARAMS + P_SPECULAR_TINT + 1], 0.0),
+        max(c[C_PARAMS + P_SPECULAR_TINT + 2], 0.0),
+    )
 
     metallic = clip(c[C_PARAMS + P_METALLIC])
     if metallic > CUTOFF:
-        o = add_lobe(c, REFLECTION, metallic * wr, metallic * wg, metallic * wb, rough, 1.0, lifted) if reflective else -1
+        o = (
+            add_lobe(c, REFLECTION, metallic * wr, metallic * wg, metallic * wb, rough, 1.0, lifted)
+            if reflective
+            else -1
+        )
         if o >= 0:
             _metal(c, o)
         wr, wg, wb = wr * (1.0 - metallic), wg * (1.0 - metallic), wb * (1.0 - metallic)
@@ -164,7 +177,11 @@ def _principled(c: Any, flags: int, n: Any, lifted: Any) -> None:
             keep_r, keep_g, keep_b = set_schlick(c, o, f0, tint_r, tint_g, tint_b)
             wr, wg, wb = wr * keep_r, wg * keep_g, wb * keep_b
 
-    base_r, base_g, base_b = max(c[C_PARAMS + P_BASE], 0.0), max(c[C_PARAMS + P_BASE + 1], 0.0), max(c[C_PARAMS + P_BASE + 2], 0.0)
+    base_r, base_g, base_b = (
+        max(c[C_PARAMS + P_BASE], 0.0),
+        max(c[C_PARAMS + P_BASE + 1], 0.0),
+        max(c[C_PARAMS + P_BASE + 2], 0.0),
+    )
     add_diffuse(c, wr * base_r, wg * base_g, wb * base_b, clip(c[C_PARAMS + P_DIFFUSE_ROUGHNESS]), n)
 
 
@@ -178,7 +195,9 @@ def _metal(c: Any, o: int) -> None:
     for k in range(3):
         f0 = clip(c[C_PARAMS + P_BASE + k])
         c[o + LOBE_F0 + k] = f0
-        c[o + LOBE_EDGE + k] = (f0 + (1.0 - f0) * s5) * (7.0 / (s5 * s)) * (1.0 - clip(c[C_PARAMS + P_SPECULAR_TINT + k]))
+        c[o + LOBE_EDGE + k] = (
+            (f0 + (1.0 - f0) * s5) * (7.0 / (s5 * s)) * (1.0 - clip(c[C_PARAMS + P_SPECULAR_TINT + k]))
+        )
     # Mean reflectance: integral of 2 cos * F82(cos).
     r = c[o + LOBE_F0] + (1.0 - c[o + LOBE_F0]) / 21.0 - c[o + LOBE_EDGE] / 126.0
     g = c[o + LOBE_F0 + 1] + (1.0 - c[o + LOBE_F0 + 1]) / 21.0 - c[o + LOBE_EDGE + 1] / 126.0
@@ -190,7 +209,8 @@ def _metal(c: Any, o: int) -> None:
 def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -> None:
     """Fill closure from the material inputs at a point seen along frame[F_WI].
 
-    shader: `core.scene.model.Shader` (EMISSION and HOLDOUT scatter nothing); flags: BACKFACING, the caustics bits, BLENDER_5_3.
+    shader: `core.scene.model.Shader` (EMISSION and HOLDOUT scatter nothing); flags: BACKFACING, the caustics bits,
+    BLENDER_5_3.
     """
     c = closure
     for k in range(3):
@@ -202,7 +222,8 @@ def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -
     c[C_MODEL] = 1.0 if flags & BLENDER_5_3 else 0.0
     # In float64 unit vectors are unit to 1e-16; 1e-7 would show in the sharpest lobes.
     for k in range(0, FRAME, 3):
-        x, y, z = np.float64(frame[k]), np.float64(frame[k + 1]), np.float64(frame[k + 2])  # numba: float() keeps float32
+        # numba: float() keeps float32
+        x, y, z = np.float64(frame[k]), np.float64(frame[k + 1]), np.float64(frame[k + 2])
         scale = 1.0 / math.sqrt(x * x + y * y + z * z)
         c[C_FRAME + k], c[C_FRAME + k + 1], c[C_FRAME + k + 2] = x * scale, y * scale, z * scale
     n = (c[C_FRAME + F_N], c[C_FRAME + F_N + 1], c[C_FRAME + F_N + 2])
@@ -231,7 +252,10 @@ def bsdf_setup(closure: Any, params: Any, shader: int, frame: Any, flags: int) -
         if o >= 0:
             for k in range(3):
                 tint = max(c[C_PARAMS + P_BASE + k], 0.0)
-                c[o + LOBE_TINT_R + k], c[o + LOBE_TINT_T + k] = tint if reflective else 0.0, tint if refractive else 0.0
+                c[o + LOBE_TINT_R + k], c[o + LOBE_TINT_T + k] = (
+                    tint if reflective else 0.0,
+                    tint if refractive else 0.0,
+                )
             set_schlick(c, o, normal_reflectance(eta), 1.0, 1.0, 1.0)
     _mark(c)
 
@@ -260,7 +284,8 @@ def bsdf_blur(closure: Any, alpha: float) -> None:
 
 @njit(**OPTIONS)
 def bsdf_transparency(params: Any, shader: int, out: Any) -> None:
-    """What a shadow ray keeps when it crosses this surface: out[0:3]. Only transparency counts; glass stops a shadow ray, as in Cycles."""
+    """What a shadow ray keeps when it crosses this surface: out[0:3]. Only transparency counts; glass stops a shadow
+    ray, as in Cycles."""
     for k in range(3):
         out[k] = 0.0
         if shader == TRANSPARENT_SHADER:

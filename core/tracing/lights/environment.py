@@ -1,4 +1,5 @@
-"""The world: constant or image radiance from infinity, importance sampling by a piecewise-constant density (pbrt-v4 sections 12.5 and A.5)."""
+"""The world: constant or image radiance from infinity, importance sampling by a piecewise-constant density (pbrt-v4
+sections 12.5 and A.5)."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ _PI, _TWO_PI = np.float32(math.pi), np.float32(2 * math.pi)
 
 @dataclass(frozen=True)
 class Environment:
-    """image: (H, W, 3) float32, finite, rows bottom up. marginal: (H + 1,) cumulative share of rows; conditional: (H, W + 1) of columns within a row."""
+    """image: (H, W, 3) float32, finite, rows bottom up. marginal: (H + 1,) cumulative share of rows; conditional: (H, W
+    + 1) of columns within a row."""
 
     image: F32
     marginal: F32
@@ -28,7 +30,8 @@ class Environment:
 
 
 def build_environment(world: World) -> Environment | None:
-    """Sampling tables of a world image, None for a constant world (sampling the BSDF does as well there, and Cycles does so)."""
+    """Sampling tables of a world image, None for a constant world (sampling the BSDF does as well there, and Cycles
+    does so)."""
     if world.image is None:
         return None
     image = np.ascontiguousarray(world.image, np.float32)
@@ -46,7 +49,9 @@ def build_environment(world: World) -> Environment | None:
     if not row.sum() > 0:
         return None
     conditional = np.zeros((h, w + 1))
-    conditional[:, 1:] = np.where(row[:, None] > 0, np.cumsum(value, 1) / np.maximum(row, 1e-300)[:, None], np.arange(1, w + 1) / w)
+    conditional[:, 1:] = np.where(
+        row[:, None] > 0, np.cumsum(value, 1) / np.maximum(row, 1e-300)[:, None], np.arange(1, w + 1) / w
+    )
     marginal = np.append(0, np.cumsum(row) / row.sum())
     conditional[:, -1] = marginal[-1] = 1
     return Environment(image, marginal.astype(np.float32), conditional.astype(np.float32))
@@ -129,5 +134,9 @@ def environment_pdf(marginal, conditional, width, height, dx, dy, dz):
     x = min(max(np.int64(u * np.float32(width)), 0), width - 1)
     y = min(max(np.int64(v * np.float32(height)), 0), height - 1)
     row = y * (width + 1)
-    p = (load_f32(marginal, y + 1) - load_f32(marginal, y)) * (load_f32(conditional, row + x + 1) - load_f32(conditional, row + x))
-    return p * np.float32(width) * np.float32(height) / (_TWO_PI * _PI * math.sqrt(max(_ONE - dz * dz, np.float32(1e-12))))
+    p = (load_f32(marginal, y + 1) - load_f32(marginal, y)) * (
+        load_f32(conditional, row + x + 1) - load_f32(conditional, row + x)
+    )
+    return (
+        p * np.float32(width) * np.float32(height) / (_TWO_PI * _PI * math.sqrt(max(_ONE - dz * dz, np.float32(1e-12))))
+    )

@@ -1,4 +1,5 @@
-"""Blender's lamps in compiled kernels: sampling, density, radiance and intersection, with Cycles' units and falloffs (kernel/light/*.h, scene/light.cpp)."""
+"""Blender's lamps in compiled kernels: sampling, density, radiance and intersection, with Cycles' units and falloffs
+(kernel/light/*.h, scene/light.cpp)."""
 
 from __future__ import annotations
 
@@ -12,10 +13,12 @@ from ...jit.sampling import OPTIONS, basis, cone, disk, normalize, sphere
 from ...scene.model import AreaShape, LightKind
 
 # Lamp constants, float32[LAMP]
-K_KIND, K_P, K_X, K_Y, K_Z, K_RADIANCE = 0, 1, 4, 7, 10, 13  # K_RADIANCE: radiance; intensity of a lamp without size, irradiance of a sun without angle
+# K_RADIANCE: radiance; intensity of a lamp without size, irradiance of a sun without angle
+K_KIND, K_P, K_X, K_Y, K_Z, K_RADIANCE = 0, 1, 4, 7, 10, 13
 K_RADIUS, K_COS_HALF, K_SMOOTH = 16, 17, 18  # spot: smoothstep((cos - K_COS_HALF) K_SMOOTH)
 K_LENGTH_X, K_LENGTH_Y, K_ELLIPSE, K_TAN_SPREAD, K_SPREAD_SCALE = 19, 20, 21, 22, 23  # K_SPREAD_SCALE: 0 without spread
-K_VISIBILITY, K_SHADOW, K_MIS, K_BOUNCES, K_SPHERE, K_CONE = 24, 25, 26, 27, 28, 29  # K_CONE: 1 - cos of the half angle of a sun
+# K_CONE: 1 - cos of the half angle of a sun
+K_VISIBILITY, K_SHADOW, K_MIS, K_BOUNCES, K_SPHERE, K_CONE = 24, 25, 26, 27, 28, 29
 LAMP = 30
 FAR = np.float32(1e30)
 POINT, SUN, SPOT, AREA = (int(k) for k in (LightKind.POINT, LightKind.SUN, LightKind.SPOT, LightKind.AREA))
@@ -28,8 +31,8 @@ _MIN_HALF_SPREAD = 5e-4  # radians; a spread of exactly 0 would be a delta direc
 def lamp_constants(lights: Records) -> F32:
     """(L, LAMP) float32 for the records (scene.LIGHT) of L lamps.
 
-    A lamp's power becomes radiance as in Cycles: P / (4 pi^2 r^2) for spheres, P / (pi A) for areas, E / (pi sin^2(angle / 2)) for suns, each without the
-    division by the shape where `normalize` is off.
+    A lamp's power becomes radiance as in Cycles: P / (4 pi^2 r^2) for spheres, P / (pi A) for areas, E / (pi
+    sin^2(angle / 2)) for suns, each without the division by the shape where `normalize` is off.
     """
     out = np.zeros((len(lights), LAMP), np.float32)
     kind = lights["kind"]
@@ -58,7 +61,12 @@ def lamp_constants(lights: Records) -> F32:
     tan = np.tan(np.minimum(a, np.pi / 2 - 1e-5))
     out[:, K_TAN_SPREAD] = tan
     out[:, K_SPREAD_SCALE] = np.where(spreads, np.where(a > 0.05, 1 / np.maximum(tan - a, 1e-30), 3 / a**3), 0)
-    for name, slot in (("visibility", K_VISIBILITY), ("cast_shadow", K_SHADOW), ("use_mis", K_MIS), ("max_bounces", K_BOUNCES)):
+    for name, slot in (
+        ("visibility", K_VISIBILITY),
+        ("cast_shadow", K_SHADOW),
+        ("use_mis", K_MIS),
+        ("max_bounces", K_BOUNCES),
+    ):
         out[:, slot] = lights[name]
     out[:, K_SPHERE] = lights["soft_falloff"] == 0
     out[:, K_CONE] = 2 * np.sin(half / 2) ** 2
@@ -95,10 +103,11 @@ def spread_falloff(k, dx, dy, dz):
 
 @njit(**OPTIONS)
 def rectangle(k, px, py, pz, u0, u1):
-    """Sample a rectangle uniformly in solid angle (Urena, Fajardo, King, "An area-preserving parametrization for spherical rectangles", EGSR 2013).
+    """Sample a rectangle uniformly in solid angle (Urena, Fajardo, King, "An area-preserving parametrization for
+    spherical rectangles", EGSR 2013).
 
-    Returns a point in the lamp's plane (x, y along its axes, from its centre) and the density per solid angle, 0 where the solid angle is too small
-    to compute: then sample by area.
+    Returns a point in the lamp's plane (x, y along its axes, from its centre) and the density per solid angle, 0 where
+    the solid angle is too small to compute: then sample by area.
     """
     # In float64: a solid angle is the small difference of angles.
     cx, cy, cz = float(k[1] - px), float(k[2] - py), float(k[3] - pz)
@@ -135,8 +144,9 @@ def rectangle(k, px, py, pz, u0, u1):
 
 @njit(**OPTIONS)
 def sample_lamp(k, px, py, pz, u0, u1, out):
-    """Sample a lamp from a point p. k: lamp constants; out float32[8]: unit direction, distance, density per solid angle (1 for a lamp without size),
-    and the share of K_RADIANCE that arrives (the inverse square included for a lamp without size). False where nothing arrives."""
+    """Sample a lamp from a point p. k: lamp constants; out float32[8]: unit direction, distance, density per solid
+    angle (1 for a lamp without size), and the share of K_RADIANCE that arrives (the inverse square included for a lamp
+    without size). False where nothing arrives."""
     kind = k[0]
     if kind == SUN:
         if k[29] > _ZERO:

@@ -1,4 +1,5 @@
-"""Light sampling in kernels: a light from a point, a place on it, and the density of that; the table is that of `lights`."""
+"""Light sampling in kernels: a light from a point, a place on it, and the density of that; the table is that of
+`lights`."""
 
 from __future__ import annotations
 
@@ -59,7 +60,8 @@ def finite_share(lights):
 def triangle_edges(meshes, table, instance, triangle):
     """World-space first corner of a triangle of an instance, and its edges to the second and the third: 9 float32.
 
-    The edges are transformed as differences: of world-space corners a small emitter far from the origin would have lost them.
+    The edges are transformed as differences: of world-space corners a small emitter far from the origin would have lost
+    them.
     """
     mesh = meshes + np.uint64(load_i32(table[1], instance)) * _MESH_SIZE
     m = table[T_TRANSFORM] + np.uint64(48) * np.uint64(instance)
@@ -85,8 +87,9 @@ def triangle_edges(meshes, table, instance, triangle):
 def sample_light(table, lights, lamps, nodes, children, px, py, pz, nx, ny, nz, u, u0, u1, ls, chosen):
     """Sample a light from a point p with shading normal n.
 
-    table: SceneTable; lights, lamps, nodes, children: of `Lights`; u, u0, u1: uniform numbers; ls: float32[LIGHT_SAMPLE], D_*; chosen: int64[2], instance and
-    triangle of an emissive sample. Returns a lamp's index, WORLD, INSTANCE, or NONE where nothing arrives.
+    table: SceneTable; lights, lamps, nodes, children: of `Lights`; u, u0, u1: uniform numbers; ls:
+    float32[LIGHT_SAMPLE], D_*; chosen: int64[2], instance and triangle of an emissive sample. Returns a lamp's index,
+    WORLD, INSTANCE, or NONE where nothing arrives.
     """
     finite = finite_share(lights)
     if u < finite:
@@ -111,7 +114,9 @@ def sample_light(table, lights, lamps, nodes, children, px, py, pz, nx, ny, nz, 
             b1 = root * (_ONE - u1)
             b2 = root * u1
             ax, ay, az, ux, uy, uz, vx, vy, vz = triangle_edges(lights[L_MESHES], table, instance, triangle)
-            dx, dy, dz, t = normalize(ax - px + b1 * ux + b2 * vx, ay - py + b1 * uy + b2 * vy, az - pz + b1 * uz + b2 * vz)
+            dx, dy, dz, t = normalize(
+                ax - px + b1 * ux + b2 * vx, ay - py + b1 * uy + b2 * vy, az - pz + b1 * uz + b2 * vz
+            )
             cos_area = abs((uy * vz - uz * vy) * dx + (uz * vx - ux * vz) * dy + (ux * vy - uy * vx) * dz) * _HALF
             if not (cos_area > _ZERO and t > _ZERO):
                 return NONE
@@ -127,7 +132,9 @@ def sample_light(table, lights, lamps, nodes, children, px, py, pz, nx, ny, nz, 
         share = (_ONE - finite) * (load_f32(lights[L_INFINITE_CDF], i + 1) - load_f32(lights[L_INFINITE_CDF], i))
         lamp = np.int64(load_i32(lights[L_INFINITE_LAMP], i))
         if lamp < 0:
-            dx, dy, dz, pdf = sample_environment(lights[L_MARGINAL], lights[L_CONDITIONAL], np.int64(lights[L_WIDTH]), np.int64(lights[L_HEIGHT]), u0, u1)
+            dx, dy, dz, pdf = sample_environment(
+                lights[L_MARGINAL], lights[L_CONDITIONAL], np.int64(lights[L_WIDTH]), np.int64(lights[L_HEIGHT]), u0, u1
+            )
             ls[0], ls[1], ls[2], ls[3] = dx, dy, dz, FAR
             ls[4] = share * pdf
             ls[5] = _ONE
@@ -150,12 +157,15 @@ def emitter_share(lights, nodes, children, e, px, py, pz, nx, ny, nz):
 @njit(**OPTIONS)
 def infinite_share(lights, i):
     """Probability with which `sample_light` picks light i at infinity."""
-    return (_ONE - finite_share(lights)) * (load_f32(lights[L_INFINITE_CDF], i + 1) - load_f32(lights[L_INFINITE_CDF], i))
+    return (_ONE - finite_share(lights)) * (
+        load_f32(lights[L_INFINITE_CDF], i + 1) - load_f32(lights[L_INFINITE_CDF], i)
+    )
 
 
 @njit(**OPTIONS)
 def lamp_density(lights, lamps, nodes, children, lamp, px, py, pz, nx, ny, nz, dx, dy, dz, t):
-    """Density per solid angle with which `sample_light` makes a direction d from p by way of a lamp that d meets at distance t."""
+    """Density per solid angle with which `sample_light` makes a direction d from p by way of a lamp that d meets at
+    distance t."""
     e = np.int64(load_i32(lights[L_LAMP_EMITTER], lamp))
     if e < 0:
         return _ZERO
@@ -169,16 +179,20 @@ def lamp_density(lights, lamps, nodes, children, lamp, px, py, pz, nx, ny, nz, d
 
 @njit(**OPTIONS)
 def world_density(lights, dx, dy, dz):
-    """Density per solid angle with which `sample_light` makes a direction by way of the world; 0 where the world is not sampled."""
+    """Density per solid angle with which `sample_light` makes a direction by way of the world; 0 where the world is not
+    sampled."""
     if lights[L_IMAGE] == np.uint64(0):
         return _ZERO
-    pdf = environment_pdf(lights[L_MARGINAL], lights[L_CONDITIONAL], np.int64(lights[L_WIDTH]), np.int64(lights[L_HEIGHT]), dx, dy, dz)
+    pdf = environment_pdf(
+        lights[L_MARGINAL], lights[L_CONDITIONAL], np.int64(lights[L_WIDTH]), np.int64(lights[L_HEIGHT]), dx, dy, dz
+    )
     return infinite_share(lights, np.int64(lights[L_WORLD_LIGHT])) * pdf
 
 
 @njit(**OPTIONS)
 def triangle_density(table, lights, nodes, children, instance, triangle, px, py, pz, nx, ny, nz, dx, dy, dz, t):
-    """Density per solid angle with which `sample_light` makes a direction d from p by way of an emissive triangle that d meets at distance t."""
+    """Density per solid angle with which `sample_light` makes a direction d from p by way of an emissive triangle that
+    d meets at distance t."""
     if lights[L_INSTANCE_EMITTER] == np.uint64(0) or lights[L_EMITTERS] == np.uint64(0):
         return _ZERO
     e = np.int64(load_i32(lights[L_INSTANCE_EMITTER], instance))

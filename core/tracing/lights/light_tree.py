@@ -1,7 +1,7 @@
 """A tree over many lights: picks one with a probability that follows what it may send to a point.
 
-Conty Estevez and Kulla, "Importance sampling of many lights with adaptive tree splitting", HPG 2018; the importance is that of pbrt-v4 section 12.6.3.
-The tree is built level by level with NumPy.
+Conty Estevez and Kulla, "Importance sampling of many lights with adaptive tree splitting", HPG 2018; the importance is
+that of pbrt-v4 section 12.6.3. The tree is built level by level with NumPy.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from ...arrays import F32, I32
 from ...jit.pointers import address, f32_pointer
 from ...jit.sampling import OPTIONS
 
-# Node record, float32[NODE]: low, high, cone axis (3 each), cos of the cone of normals, cos of emission beyond it, power, two-sided.
+# Node record, float32[NODE]: low, high, cone axis (3 each), cos of the cone of normals, cos of emission beyond it,
+# power, two-sided.
 N_LOW, N_HIGH, N_AXIS, N_COS_O, N_COS_E, N_POWER, N_TWO_SIDED = 0, 3, 6, 9, 10, 11, 12
 NODE = 13
 _BINS = 12
@@ -30,8 +31,9 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 class LightBounds:
     """What is known of each of E lights.
 
-    low, high: (E, 3) box. axis: (E, 3) unit, main direction of emission; theta_o: (E,) spread of normals around it; theta_e: (E,) how far from a normal
-    light is emitted; radians. power: (E,) positive. two_sided: (E,) bool. All float64 but the last.
+    low, high: (E, 3) box. axis: (E, 3) unit, main direction of emission; theta_o: (E,) spread of normals around it;
+    theta_e: (E,) how far from a normal light is emitted; radians. power: (E,) positive. two_sided: (E,) bool. All
+    float64 but the last.
     """
 
     low: NDArray[np.float64]
@@ -48,7 +50,8 @@ class LightBounds:
 
 @dataclass(frozen=True)
 class LightTree:
-    """nodes: (2 E - 1, NODE) float32; children: (2 E - 1,) int32, index of the first of two adjacent children, or -1 - light for a leaf;
+    """nodes: (2 E - 1, NODE) float32; children: (2 E - 1,) int32, index of the first of two adjacent children, or -1 -
+    light for a leaf;
     trails: (E,) uint64, bit d is the turn at depth d towards a light's leaf."""
 
     nodes: F32
@@ -63,7 +66,8 @@ def _merge(b: LightBounds, start: NDArray[np.int64]) -> NDArray[np.float64]:
     out[:, N_HIGH : N_HIGH + 3] = np.maximum.reduceat(b.high, start)
     power = np.add.reduceat(b.power, start)
     run = np.repeat(np.arange(len(start)), np.diff(np.append(start, len(b))))
-    # The cone: around the mean axis (lights that shine both ways turned into one half space), as wide as the farthest member needs.
+    # The cone: around the mean axis (lights that shine both ways turned into one half space), as wide as the farthest
+    # member needs.
     sign = np.where(b.two_sided & (np.einsum("ij,ij->i", b.axis, b.axis[start][run]) < 0), -1.0, 1.0)
     mean = np.add.reduceat(b.axis * (sign * b.power)[:, None], start)
     length = np.linalg.norm(mean, axis=1)
@@ -86,12 +90,22 @@ def _cost(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
     area = size[..., 0] * size[..., 1] + size[..., 1] * size[..., 2] + size[..., 2] * size[..., 0]
     o = np.arccos(np.clip(bounds[..., N_COS_O], -1, 1))
     w = np.minimum(o + np.arccos(np.clip(bounds[..., N_COS_E], -1, 1)), np.pi)
-    orientation = 2 * np.pi * (1 - np.cos(o)) + np.pi / 2 * (2 * w * np.sin(o) - np.cos(o - 2 * w) - 2 * o * np.sin(o) + np.cos(o))
+    orientation = 2 * np.pi * (1 - np.cos(o)) + np.pi / 2 * (
+        2 * w * np.sin(o) - np.cos(o - 2 * w) - 2 * o * np.sin(o) + np.cos(o)
+    )
     return bounds[..., N_POWER] * area * orientation
 
 
 def _take(b: LightBounds, order: NDArray[np.int64]) -> LightBounds:
-    return LightBounds(b.low[order], b.high[order], b.axis[order], b.theta_o[order], b.theta_e[order], b.power[order], b.two_sided[order])
+    return LightBounds(
+        b.low[order],
+        b.high[order],
+        b.axis[order],
+        b.theta_o[order],
+        b.theta_e[order],
+        b.power[order],
+        b.two_sided[order],
+    )
 
 
 def build_light_tree(bounds: LightBounds) -> LightTree:
@@ -109,7 +123,11 @@ def build_light_tree(bounds: LightBounds) -> LightTree:
     while len(node_of):
         # Lights of finished leaves drop out: compact what is left.
         size = end - start
-        member = np.concatenate([order[a:e] for a, e in zip(start, end, strict=True)]) if len(start) > 1 else order[start[0] : end[0]]
+        member = (
+            np.concatenate([order[a:e] for a, e in zip(start, end, strict=True)])
+            if len(start) > 1
+            else order[start[0] : end[0]]
+        )
         start = np.concatenate([[0], np.cumsum(size)[:-1]])
         nodes[node_of] = _merge(_take(bounds, member), start)
         leaf = size == 1
@@ -128,7 +146,9 @@ def build_light_tree(bounds: LightBounds) -> LightTree:
         place = (c[np.arange(len(member)), axis[run]] - low[rows, axis][run]) / extent[run]
         by_place = np.lexsort((place, run))
         member, place = member[by_place], place[by_place]
-        left = _split_sizes(bounds, member, run, np.minimum((place * _BINS).astype(np.int64), _BINS - 1), size, start, depth)
+        left = _split_sizes(
+            bounds, member, run, np.minimum((place * _BINS).astype(np.int64), _BINS - 1), size, start, depth
+        )
         right = np.arange(len(member)) - start[run] >= left[run]
         trails[member] |= right.astype(np.uint64) << np.uint64(depth)
         first = used + 2 * rows
@@ -156,7 +176,8 @@ def _split_sizes(
         return half
     cell = run * _BINS + bins
     firsts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
-    # Where a bin begins, both sides of a split there are runs of cells: merge prefix and suffix by walking the bins once.
+    # Where a bin begins, both sides of a split there are runs of cells: merge prefix and suffix by walking the bins
+    # once.
     best = np.full(len(size), np.inf)
     choice = half.copy()
     cells = cell[firsts]
@@ -192,7 +213,8 @@ def _accumulate(merged: NDArray[np.float64], table: NDArray[np.int64]) -> NDArra
 
 
 def _union(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bounds of two bounds, row by row; the cone is around the power-weighted mean axis (good enough to choose a split)."""
+    """Bounds of two bounds, row by row; the cone is around the power-weighted mean axis (good enough to choose a
+    split)."""
     out = np.empty_like(a)
     out[:, N_LOW : N_LOW + 3] = np.minimum(a[:, N_LOW : N_LOW + 3], b[:, N_LOW : N_LOW + 3])
     out[:, N_HIGH : N_HIGH + 3] = np.maximum(a[:, N_HIGH : N_HIGH + 3], b[:, N_HIGH : N_HIGH + 3])
@@ -221,7 +243,8 @@ def _cos_minus(sin_a, cos_a, sin_b, cos_b):
 
 @njit(**OPTIONS)
 def node_importance(nodes, i, px, py, pz, nx, ny, nz):
-    """Bound of what a node may send to point p with normal n (either side of it), up to a factor: never 0 where it sends something. nodes: their address."""
+    """Bound of what a node may send to point p with normal n (either side of it), up to a factor: never 0 where it
+    sends something. nodes: their address."""
     n = f32_pointer(nodes + np.uint64(4 * NODE) * np.uint64(i))
     lx, ly, lz = n[0], n[1], n[2]
     hx, hy, hz = n[3], n[4], n[5]
@@ -260,7 +283,8 @@ def node_importance(nodes, i, px, py, pz, nx, ny, nz):
 
 @njit(**OPTIONS)
 def sample_tree(nodes, children, u, px, py, pz, nx, ny, nz):
-    """Pick a light for a point with one uniform number: (light, probability); light -1 where none sends anything. nodes: address; children: pointer."""
+    """Pick a light for a point with one uniform number: (light, probability); light -1 where none sends anything.
+    nodes: address; children: pointer."""
     i = np.int64(0)
     p = _ONE
     while children[i] >= 0:
@@ -309,4 +333,6 @@ def tree_pdf(nodes, children, trail, px, py, pz, nx, ny, nz):
 def node_importances(tree: LightTree, point: Any, normal: Any) -> F32:
     """Importance of every node for one point, for tests and plots."""
     p, n = np.asarray(point, np.float32), np.asarray(normal, np.float32)
-    return np.array([node_importance(np.uint64(address(tree.nodes)), i, *p, *n) for i in range(len(tree.nodes))], np.float32)
+    return np.array(
+        [node_importance(np.uint64(address(tree.nodes)), i, *p, *n) for i in range(len(tree.nodes))], np.float32
+    )

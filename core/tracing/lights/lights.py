@@ -1,8 +1,9 @@
-"""All lights of a scene: which one to sample from a point, where on it, and with what density (for multiple importance sampling).
+"""All lights of a scene: which one to sample from a point, where on it, and with what density (for multiple importance
+sampling).
 
-Lights at infinity (suns, the world image) share half of the samples where there are others; lamps and emissive instances are picked by a light tree.
-An emissive instance picks a triangle by area times emission, then a point uniformly: the density uses that triangle's area in world space, so any scale is
-exact.
+Lights at infinity (suns, the world image) share half of the samples where there are others; lamps and emissive
+instances are picked by a light tree. An emissive instance picks a triangle by area times emission, then a point
+uniformly: the density uses that triangle's area in world space, so any scale is exact.
 """
 
 from __future__ import annotations
@@ -28,13 +29,15 @@ from .light_tree import NODE, LightBounds, LightTree, build_light_tree
 LIGHTS = 21
 # One emitter of the tree: a lamp, or an emissive instance with its part of the triangle distribution.
 EMITTER = np.dtype([("lamp", "i4"), ("instance", "i4"), ("first", "i8"), ("count", "i8")], align=True)
-# light sample, float32[LIGHT_SAMPLE]: direction, distance, density (selection included), radiance share (lamps), barycentrics (triangles)
+# light sample, float32[LIGHT_SAMPLE]: direction, distance, density (selection included), radiance share (lamps),
+# barycentrics (triangles)
 LIGHT_SAMPLE = 8
 _BSDF_RAYS = (1 << RayType.DIFFUSE) | (1 << RayType.GLOSSY) | (1 << RayType.TRANSMISSION)
 
 
 def emissive_instances(scene: Scene) -> NDArray[np.int64]:
-    """Instances with a material that emits and is sampled as a light, by materials alone: no mesh is loaded. Indices, ascending."""
+    """Instances with a material that emits and is sampled as a light, by materials alone: no mesh is loaded. Indices,
+    ascending."""
     emits = (scene.materials["emission"] > 0).any(1) & (scene.materials["mis_emission"] != 0)
     if not emits.any() or not len(scene.instances):
         return np.zeros(0, np.int64)
@@ -49,7 +52,8 @@ def emissive_instances(scene: Scene) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class _Emission:
-    """Emissive triangles of one mesh under one slot table: triangle indices, cumulative weight in [0, 1], and its bounds as a light, object space."""
+    """Emissive triangles of one mesh under one slot table: triangle indices, cumulative weight in [0, 1], and its
+    bounds as a light, object space."""
 
     triangles: I32
     cdf: F32
@@ -83,20 +87,27 @@ def _mesh_emission(scene: Scene, mesh: Mesh, slot: int, scale: NDArray[np.float6
     theta_o = float(np.arccos(np.clip((cos if single else np.abs(cos)).min(), -1, 1)))
     cdf = np.append(0, np.cumsum(weight) / total)
     cdf[-1] = 1
-    return _Emission(lit.astype(np.int32), cdf.astype(np.float32), total, axis, theta_o if single or theta_o < 1.5 else np.pi, single)
+    return _Emission(
+        lit.astype(np.int32), cdf.astype(np.float32), total, axis, theta_o if single or theta_o < 1.5 else np.pi, single
+    )
 
 
-FIRST_ARRAY, INSTANCE_EMITTER = 3, 4  # place of the first array's address in the table, and which array tells the emitter of each instance
+# place of the first array's address in the table, and which array tells the emitter of each instance
+FIRST_ARRAY, INSTANCE_EMITTER = 3, 4
 
 
 class Lights:
     """Tables of all lights for the kernels.
 
-    table: uint64[LIGHTS]; lamps: (L, LAMP) float32; nodes, children: the light tree; emissive: (E,) instances that are sampled as lights.
+    table: uint64[LIGHTS]; lamps: (L, LAMP) float32; nodes, children: the light tree; emissive: (E,) instances that are
+    sampled as lights.
     """
 
-    def __init__(self, scene: Scene, candidates: NDArray[np.int64] | None = None, meshes: dict[int, Mesh] | None = None) -> None:
-        """candidates: instances to sample as lights, default `emissive_instances`; their meshes are loaded (taken from meshes where given there)."""
+    def __init__(
+        self, scene: Scene, candidates: NDArray[np.int64] | None = None, meshes: dict[int, Mesh] | None = None
+    ) -> None:
+        """candidates: instances to sample as lights, default `emissive_instances`; their meshes are loaded (taken from
+        meshes where given there)."""
         instances = scene.instances
         candidates = emissive_instances(scene) if candidates is None else candidates
         self.lamps: F32 = lamp_constants(scene.lights)
@@ -106,7 +117,9 @@ class Lights:
         cdfs, triangles, bounds = [np.zeros(0, np.float32)], [np.zeros(0, np.int32)], []
         lamp_emitter = np.full(max(len(self.lamps), 1), -1, np.int32)
         instance_emitter = np.full(len(instances) if len(candidates) else 0, -1, np.int32)
-        for i in np.flatnonzero((self.lamps[:, K_KIND] != SUN) & (self.lamps[:, K_RADIANCE : K_RADIANCE + 3] > 0).any(1)).tolist():
+        for i in np.flatnonzero(
+            (self.lamps[:, K_KIND] != SUN) & (self.lamps[:, K_RADIANCE : K_RADIANCE + 3] > 0).any(1)
+        ).tolist():
             lamp_emitter[i] = len(records)
             records.append((i, -1, 0, 0))
             bounds.append(_lamp_bounds(scene.lights[i], self.lamps[i]))
@@ -133,7 +146,11 @@ class Lights:
             bounds.append(_instance_bounds(emission, linear, scale, instances.bounds[i]))
         self.emissive = np.flatnonzero(instance_emitter >= 0)
         self.environment: Environment | None = build_environment(scene.world)
-        tree = build_light_tree(_stack(bounds)) if records else LightTree(np.zeros((1, NODE), np.float32), np.full(1, -1, np.int32), np.zeros(1, np.uint64))
+        tree = (
+            build_light_tree(_stack(bounds))
+            if records
+            else LightTree(np.zeros((1, NODE), np.float32), np.full(1, -1, np.int32), np.zeros(1, np.uint64))
+        )
         self.nodes, self.children = tree.nodes, tree.children
         suns = np.flatnonzero((self.lamps[:, K_KIND] == SUN) & (self.lamps[:, K_RADIANCE : K_RADIANCE + 3] > 0).any(1))
         infinite, infinite_cdf = self._infinite(scene, suns)
@@ -142,7 +159,11 @@ class Lights:
         for m, mesh in self.meshes.items():
             mesh_table[m] = record(mesh)
         image = self.environment.image if self.environment else np.zeros((1, 1, 3), np.float32)
-        seen = np.zeros((0, 0, 3), np.float32) if scene.world.seen is None else np.ascontiguousarray(scene.world.seen, np.float32)
+        seen = (
+            np.zeros((0, 0, 3), np.float32)
+            if scene.world.seen is None
+            else np.ascontiguousarray(scene.world.seen, np.float32)
+        )
         self._arrays: tuple[np.ndarray, ...] = (
             np.array(records, EMITTER),
             tree.trails,
@@ -183,7 +204,8 @@ class Lights:
         return out
 
     def _infinite(self, scene: Scene, suns: NDArray[np.int64]) -> tuple[I32, F32]:
-        """Lights at infinity, suns then the world image (as lamp -1), and their cumulative probabilities: half uniform, half by irradiance."""
+        """Lights at infinity, suns then the world image (as lamp -1), and their cumulative probabilities: half uniform,
+        half by irradiance."""
         power = [float(p) for p in scene.lights["power"][suns] @ LUMINANCE]
         lamps = suns.tolist()
         if self.environment is not None:
@@ -192,14 +214,19 @@ class Lights:
             power.append(float((self.environment.image.mean(1) @ LUMINANCE * cos).sum() / cos.sum() * np.pi))
             lamps.append(-1)
         share = np.maximum(np.array(power), 0)
-        share = 0.5 / max(len(share), 1) + 0.5 * share / max(share.sum(), 1e-30) if share.sum() > 0 else np.full(len(share), 1 / max(len(share), 1))
+        share = (
+            0.5 / max(len(share), 1) + 0.5 * share / max(share.sum(), 1e-30)
+            if share.sum() > 0
+            else np.full(len(share), 1 / max(len(share), 1))
+        )
         cdf = np.append(0, np.cumsum(share))
         cdf[-1] = 1
         return np.array(lamps, np.int32), cdf.astype(np.float32)
 
 
 def _scale_class(mesh: int, slot: int, linear: NDArray[np.float64]) -> tuple[tuple[Any, ...], NDArray[np.float64]]:
-    """Instances whose triangles weigh alike share a distribution: (key, scale to weigh by). Rotation and uniform scale change no weight."""
+    """Instances whose triangles weigh alike share a distribution: (key, scale to weigh by). Rotation and uniform scale
+    change no weight."""
     gram = linear.T @ linear
     s2 = np.trace(gram) / 3
     if s2 > 0 and np.abs(gram - s2 * np.eye(3)).max() < 1e-4 * s2:
@@ -207,8 +234,11 @@ def _scale_class(mesh: int, slot: int, linear: NDArray[np.float64]) -> tuple[tup
     return (mesh, slot, *np.round(gram / max(s2, 1e-30), 6).ravel().tolist()), linear
 
 
-def _instance_bounds(e: _Emission, linear: NDArray[np.float64], scale: NDArray[np.float64], box: F32) -> tuple[Any, ...]:
-    """Bounds of an emissive instance as a light. An Emission made with the instance's own scale is in world space already, up to rotation."""
+def _instance_bounds(
+    e: _Emission, linear: NDArray[np.float64], scale: NDArray[np.float64], box: F32
+) -> tuple[Any, ...]:
+    """Bounds of an emissive instance as a light. An Emission made with the instance's own scale is in world space
+    already, up to rotation."""
     det = np.linalg.det(linear)
     if scale is linear:
         axis, weight = e.axis * (1 if det >= 0 else -1), e.weight
@@ -224,7 +254,15 @@ def _instance_bounds(e: _Emission, linear: NDArray[np.float64], scale: NDArray[n
     length = np.linalg.norm(axis)
     axis = axis / length if length > 0 else np.array([0.0, 0.0, 1.0])
     sided = 1.0 if e.single_sided else 2.0
-    return box[0].astype(float), box[1].astype(float), axis, theta, np.pi / 2, max(weight * np.pi * sided, 1e-20), not e.single_sided
+    return (
+        box[0].astype(float),
+        box[1].astype(float),
+        axis,
+        theta,
+        np.pi / 2,
+        max(weight * np.pi * sided, 1e-20),
+        not e.single_sided,
+    )
 
 
 def _lamp_bounds(light: np.void, k: F32) -> tuple[Any, ...]:
@@ -235,7 +273,15 @@ def _lamp_bounds(light: np.void, k: F32) -> tuple[Any, ...]:
     if light["kind"] == AREA:
         half = np.abs(light["axis_x"] * light["size"][0]) / 2 + np.abs(light["axis_y"] * light["size"][1]) / 2
         area = float(light["size"][0] * light["size"][1])
-        return p - half, p + half, axis, 0.0, min(float(light["spread"]), np.pi) / 2, max(radiance * abs(area) * np.pi, 1e-20), False
+        return (
+            p - half,
+            p + half,
+            axis,
+            0.0,
+            min(float(light["spread"]), np.pi) / 2,
+            max(radiance * abs(area) * np.pi, 1e-20),
+            False,
+        )
     r = float(k[16])
     power = max(radiance * (np.pi * r * r if r > 0 else 1.0) * 4 * np.pi, 1e-20)
     if light["kind"] == SPOT:
@@ -245,4 +291,12 @@ def _lamp_bounds(light: np.void, k: F32) -> tuple[Any, ...]:
 
 def _stack(bounds: Sequence[tuple[Any, ...]]) -> LightBounds:
     low, high, axis, theta_o, theta_e, power, two_sided = zip(*bounds, strict=True)
-    return LightBounds(np.array(low), np.array(high), np.array(axis), np.array(theta_o), np.array(theta_e), np.array(power), np.array(two_sided, bool))
+    return LightBounds(
+        np.array(low),
+        np.array(high),
+        np.array(axis),
+        np.array(theta_o),
+        np.array(theta_e),
+        np.array(power),
+        np.array(two_sided, bool),
+    )

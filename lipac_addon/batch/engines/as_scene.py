@@ -17,28 +17,47 @@ from .devices import on_device
 
 
 def engine_of(scene: Any) -> str:
-    """The engine that a scene is set to. Raises InputError where that is none of Blender's that culling reaches, or the output is a film."""
+    """The engine that a scene is set to. Raises InputError where that is none of Blender's that culling reaches, or the
+    output is a film."""
     found = [name for name, identifier in BLENDER_ENGINES.items() if scene.render.engine == identifier]
     if not found:
-        raise InputError(f"--as-scene: scene '{scene.name}' is rendered by {scene.render.engine}, which culling does not reach; use Cycles or EEVEE")
+        raise InputError(
+            f"--as-scene: scene '{scene.name}' is rendered by {scene.render.engine}, which culling does not reach; use "
+            "Cycles or EEVEE"
+        )
     if scene.render.is_movie_format:
-        raise InputError(f"--as-scene: scene '{scene.name}' is rendered to a film, and frames are rendered one by one; choose pictures as its output")
+        raise InputError(
+            f"--as-scene: scene '{scene.name}' is rendered to a film, and frames are rendered one by one; choose "
+            "pictures as its output"
+        )
     return found[0]
 
 
 def files_of(scene: Any, frame: int) -> list[Path]:
-    """The pictures that a render of a frame writes where the scene's output says, without those of the compositor's File Output nodes."""
+    """The pictures that a render of a frame writes where the scene's output says, without those of the compositor's
+    File Output nodes."""
     render = scene.render
-    views = [view.name for view in render.views if view.use] if render.use_multiview and render.image_settings.views_format == "INDIVIDUAL" else [""]
+    views = (
+        [view.name for view in render.views if view.use]
+        if render.use_multiview and render.image_settings.views_format == "INDIVIDUAL"
+        else [""]
+    )
     return [Path(bpy.path.abspath(render.frame_path(frame=frame, view=view))) for view in views]
 
 
 def render_as_scene(
-    engine: str, frame: int, samples: int | None = None, threads: int = 0, progress: Progress = silent, device: DeviceChoice = AS_SET
+    engine: str,
+    frame: int,
+    samples: int | None = None,
+    threads: int = 0,
+    progress: Progress = silent,
+    device: DeviceChoice = AS_SET,
 ) -> Rendered:
-    """Render a frame of the open file, the current one, as its scene says, and write what it says where it says. Returns what that took, the writing included.
+    """Render a frame of the open file, the current one, as its scene says, and write what it says where it says.
+    Returns what that took, the writing included.
 
-    samples, threads, device: as of `render_blender`; what is not given, the seed too, is as the scene says. Its settings are put back.
+    samples, threads, device: as of `render_blender`; what is not given, the seed too, is as the scene says. Its
+    settings are put back.
     Raises InputError where Blender cannot render, or cannot write.
     """
     scene = bpy.context.scene

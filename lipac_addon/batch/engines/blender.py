@@ -29,8 +29,9 @@ _MEMORY = re.compile(r"(?:Mem|Peak):\s*(\d+(?:\.\d+)?)([KMG])")
 
 @dataclass(frozen=True)
 class Rendered:
-    """What a render took. seconds: of the render alone; device: what it ran on; first_sample_s: until Blender first told of a finished sample; device_bytes: of
-    the device's memory at most, by Cycles' own count, to a megabyte. None: Blender did not say."""
+    """What a render took. seconds: of the render alone; device: what it ran on; first_sample_s: until Blender first
+    told of a finished sample; device_bytes: of the device's memory at most, by Cycles' own count, to a megabyte. None:
+    Blender did not say."""
 
     seconds: float
     device: str
@@ -39,7 +40,12 @@ class Rendered:
 
     def entry(self) -> dict[str, Any]:
         """For a frame of report.json."""
-        return {"render_s": self.seconds, "device": self.device, "first_sample_s": self.first_sample_s, "device_bytes": self.device_bytes}
+        return {
+            "render_s": self.seconds,
+            "device": self.device,
+            "first_sample_s": self.first_sample_s,
+            "device_bytes": self.device_bytes,
+        }
 
 
 def render_blender(
@@ -52,11 +58,14 @@ def render_blender(
     border: tuple[float, float, float, float] | None = None,
     device: DeviceChoice = AS_SET,
 ) -> Rendered:
-    """Render the current frame of the open file by 'cycles' or 'eevee', save stem.exr and stem.png, and return what that took.
+    """Render the current frame of the open file by 'cycles' or 'eevee', save stem.exr and stem.png, and return what
+    that took.
 
-    samples: per pixel, None as in the scene. seed: Cycles' noise; EEVEE has none. threads: 0 for all. border: left, bottom, right, top of the part of the
-    picture that is wanted, 0 to 1 (default: all). device: for Cycles. All else is as the scene says; its settings are put back.
-    Raises InputError where Blender cannot render, or not there. Ctrl-C during the render ends the process at once, for Blender cannot be asked to stop.
+    samples: per pixel, None as in the scene. seed: Cycles' noise; EEVEE has none. threads: 0 for all. border: left,
+    bottom, right, top of the part of the picture that is wanted, 0 to 1 (default: all). device: for Cycles. All else is
+    as the scene says; its settings are put back.
+    Raises InputError where Blender cannot render, or not there. Ctrl-C during the render ends the process at once, for
+    Blender cannot be asked to stop.
     """
     scene = bpy.context.scene
     if not rendered_layers(scene):
@@ -70,8 +79,8 @@ def render_blender(
 
 
 def rendered_by(engine: str, used: Device | None, progress: Progress, animation: bool = False) -> Rendered:
-    """Have Blender render the open scene as it is now set, and say what that took. used: the device, None for EEVEE's. animation: the frames of its range, to
-    its own files. Raises InputError where Blender cannot."""
+    """Have Blender render the open scene as it is now set, and say what that took. used: the device, None for EEVEE's.
+    animation: the frames of its range, to its own files. Raises InputError where Blender cannot."""
     scene = bpy.context.scene
     with _stats(progress) as told:
         start = told.start = time.perf_counter()
@@ -79,7 +88,9 @@ def rendered_by(engine: str, used: Device | None, progress: Progress, animation:
             with muted(), _ctrl_c_ends_the_process(), _other_scenes_where_they_are(scene):
                 bpy.ops.render.render(animation=animation, scene=scene.name)
         except RuntimeError as error:
-            raise InputError(f"{engine} cannot render the scene: {str(error).removeprefix('Error:').strip()}") from error
+            raise InputError(
+                f"{engine} cannot render the scene: {str(error).removeprefix('Error:').strip()}"
+            ) from error
         seconds = time.perf_counter() - start
     return Rendered(seconds, eevee_device() if used is None else str(used), told.first_sample_s, told.device_bytes)
 
@@ -98,7 +109,12 @@ def _other_scenes_where_they_are(scene: bpy.types.Scene) -> Iterator[None]:
 
 @contextmanager
 def _render_settings(
-    scene: bpy.types.Scene, engine: str, samples: int | None, seed: int, threads: int, border: tuple[float, float, float, float] | None
+    scene: bpy.types.Scene,
+    engine: str,
+    samples: int | None,
+    seed: int,
+    threads: int,
+    border: tuple[float, float, float, float] | None,
 ) -> Iterator[None]:
     render = scene.render
     with ExitStack() as stack:
@@ -165,7 +181,8 @@ def _stats(progress: Progress) -> Iterator[_Told]:
 
 @contextmanager
 def _ctrl_c_ends_the_process() -> Iterator[None]:
-    """Blender looks at no signal while it renders and Python at none until it is done; the system's own handling is what works."""
+    """Blender looks at no signal while it renders and Python at none until it is done; the system's own handling is
+    what works."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield
         return

@@ -13,7 +13,8 @@ DEVICES = (AUTO, CPU, *GPU_KINDS)
 
 @dataclass(frozen=True)
 class DeviceChoice:
-    """Where Cycles renders. kind: of DEVICES, AUTO as the file and the preferences say; cards: numbers from 0, or parts of names; none: all of the kind."""
+    """Where Cycles renders. kind: of DEVICES, AUTO as the file and the preferences say; cards: numbers from 0, or parts
+    of names; none: all of the kind."""
 
     kind: str = AUTO
     cards: tuple[str, ...] = ()

@@ -27,7 +27,8 @@ class Counted:
 
 @contextmanager
 def counting() -> Iterator[Counted]:
-    """Counts the instances of a frame that is rendered within the block; what comes out of it is complete at its end."""
+    """Counts the instances of a frame that is rendered within the block; what comes out of it is complete at its
+    end."""
     counted, errors = Counted(), []
 
     def note(_scene: Any, depsgraph: Any = None) -> None:

@@ -21,8 +21,8 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class Device:
-    """What renders. kind: of `choices.DEVICES`, never AUTO; cards: names; ids: Cycles' own for these; note: a line for the user where it is not what the scene
-    asks for."""
+    """What renders. kind: of `choices.DEVICES`, never AUTO; cards: names; ids: Cycles' own for these; note: a line for
+    the user where it is not what the scene asks for."""
 
     kind: str
     cards: tuple[str, ...]
@@ -34,7 +34,8 @@ class Device:
 
 
 def cards_of(kind: str) -> list[tuple[str, str]]:
-    """Name and id of each device of a kind that Cycles can use here, in its order. Nothing of the preferences changes."""
+    """Name and id of each device of a kind that Cycles can use here, in its order. Nothing of the preferences
+    changes."""
     import _cycles
 
     if kind != CPU and kind.upper() not in {name for name, *_ in _preferences().get_device_types(bpy.context)}:
@@ -53,7 +54,9 @@ def find_device(scene: Any, choice: DeviceChoice) -> Device:
     found = cards_of(choice.kind)
     if not found:
         here = [NAMES[kind] for kind in (CPU, *GPU_KINDS) if kind != choice.kind and cards_of(kind)]
-        raise InputError(f"--device {choice}: no {NAMES[choice.kind]} device that Cycles can use is here; there is {', '.join(here)}")
+        raise InputError(
+            f"--device {choice}: no {NAMES[choice.kind]} device that Cycles can use is here; there is {', '.join(here)}"
+        )
     return Device(choice.kind, *_picked(choice, found))
 
 
@@ -61,7 +64,11 @@ def _picked(choice: DeviceChoice, found: list[tuple[str, str]]) -> tuple[tuple[s
     """Names and ids of the cards that are meant, in Cycles' order."""
     picked = set()
     for card in choice.cards:
-        rows = [k for k, (name, _) in enumerate(found) if (card == str(k) if card.isdecimal() else card.lower() in name.lower())]
+        rows = [
+            k
+            for k, (name, _) in enumerate(found)
+            if (card == str(k) if card.isdecimal() else card.lower() in name.lower())
+        ]
         if not rows:
             listed = ", ".join(f"{k} {name}" for k, (name, _) in enumerate(found))
             raise InputError(f"--device {choice}: no card '{card}'; {NAMES[choice.kind]} has {listed}")
@@ -71,7 +78,8 @@ def _picked(choice: DeviceChoice, found: list[tuple[str, str]]) -> tuple[tuple[s
 
 
 def _as_set(scene: Any) -> Device:
-    """As the file and the preferences say. Blender as a Python module reads no preferences: then the first kind of GPU_KINDS that has a card."""
+    """As the file and the preferences say. Blender as a Python module reads no preferences: then the first kind of
+    GPU_KINDS that has a card."""
     if scene.cycles.device == "CPU":
         return _cpu()
     preferences = _preferences()
@@ -81,7 +89,11 @@ def _as_set(scene: Any) -> Device:
         return find_device(scene, DeviceChoice(kinds[0])) if kinds else _cpu(FALLBACK)
     off = {entry.id for entry in preferences.devices if not entry.use}
     used = [(name, identity) for name, identity in cards_of(kind) if identity not in off]
-    return Device(kind, tuple(name for name, _ in used), tuple(identity for _, identity in used)) if used else _cpu(FALLBACK)
+    return (
+        Device(kind, tuple(name for name, _ in used), tuple(identity for _, identity in used))
+        if used
+        else _cpu(FALLBACK)
+    )
 
 
 def _cpu(note: str = "") -> Device:
@@ -90,7 +102,8 @@ def _cpu(note: str = "") -> Device:
 
 @contextmanager
 def on_device(scene: Any, choice: DeviceChoice) -> Iterator[Device]:
-    """Renders of a scene by Cycles within the block are on that device; the scene and the preferences are put back. Raises InputError as `find_device`."""
+    """Renders of a scene by Cycles within the block are on that device; the scene and the preferences are put back.
+    Raises InputError as `find_device`."""
     device = find_device(scene, choice)
     if device.kind == CPU:
         with changed(scene.cycles, device="CPU"):

@@ -1,6 +1,7 @@
 """The hybrid renderer's frame: Blender rasterizes everything, light paths over what is kept do the rest.
 
-Blender draws on the main thread; meanwhile a worker decides what is kept, builds it, and traces. Only what needs both waits for both.
+Blender draws on the main thread; meanwhile a worker decides what is kept, builds it, and traces. Only what needs both
+waits for both.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ MOST_PASSES = 16  # of first hits; more samples than these start several paths a
 
 @dataclass(frozen=True)
 class HybridOptions:
-    """gi: one of `composition.MODES`. primary: one of `raster.first_hits.PRIMARY`. denoise: the traced light. raster_samples: per pixel, EEVEE's."""
+    """gi: one of `composition.MODES`. primary: one of `raster.first_hits.PRIMARY`. denoise: the traced light.
+    raster_samples: per pixel, EEVEE's."""
 
     gi: str = "path"
     primary: str = "raster"
@@ -64,9 +66,11 @@ def render_hybrid(
     cancelled: Callable[[], bool] = lambda: False,
     decide: Callable[[Scene], CullingResult] | None = None,
 ) -> tuple[CullingResult, dict[str, Any]]:
-    """Cull and render the current frame of the open file; save stem.exr, stem.png and stem_layers.exr. Returns what was decided, and figures for the report.
+    """Cull and render the current frame of the open file; save stem.exr, stem.png and stem_layers.exr. Returns what was
+    decided, and figures for the report.
 
-    scene: the frame, extracted. samples: paths per pixel. decide: what culls, on a worker thread; the default analyses this frame by itself.
+    scene: the frame, extracted. samples: paths per pixel. decide: what culls, on a worker thread; the default analyses
+    this frame by itself.
     Raises InputError where it cannot be rendered, Cancelled where cancelled() says so.
     """
     from ....core.culling.analysis import analyze
@@ -108,21 +112,30 @@ def _sizes(scene: Scene, cull: CullOptions) -> tuple[tuple[int, int], ...]:
 
 
 def _draw(
-    hits: FirstHits, tracing: _Tracing, choose: Callable[[Scene], CullingResult], sizes: Sequence[tuple[int, int]], options: HybridOptions, line: Timeline
+    hits: FirstHits,
+    tracing: _Tracing,
+    choose: Callable[[Scene], CullingResult],
+    sizes: Sequence[tuple[int, int]],
+    options: HybridOptions,
+    line: Timeline,
 ) -> Passes | None:
-    """Draw first hits and EEVEE's passes while tracing decides by `choose`, and traces. sizes: of pictures that this needs first hits of. None: no raster."""
+    """Draw first hits and EEVEE's passes while tracing decides by `choose`, and traces. sizes: of pictures that this
+    needs first hits of. None: no raster."""
     raster = options.primary == "raster"
     with line.stage("first hits"):
         known = {size: dataclasses.replace(hits.draw(size, 0, 1), lamps_known=raster) for size in sizes}
     size, count, passes = tracing.size, tracing.passes, None
-    ahead = min(count, max(AHEAD_BYTES // (size[0] * size[1] * 16), 1))  # what is drawn before EEVEE begins is traced while it renders
+    # what is drawn before EEVEE begins is traced while it renders
+    ahead = min(count, max(AHEAD_BYTES // (size[0] * size[1] * 16), 1))
     with ThreadPoolExecutor(1) as worker, tracing.stopping():
         decided = worker.submit(tracing.decide, lambda: choose(dataclasses.replace(tracing.scene, first_hits=known)))
         with line.stage("first hits"):
             jobs = [worker.submit(tracing.trace, hits.draw(size, k, count), k) for k in range(ahead)]
         if raster:
             with line.stage("EEVEE"):
-                passes = render_passes(bpy.context.scene, options.raster_samples, unshadowed=len(tracing.scene.lights) > 0)
+                passes = render_passes(
+                    bpy.context.scene, options.raster_samples, unshadowed=len(tracing.scene.lights) > 0
+                )
         decided.result()
         for k in range(ahead, count):
             jobs[-1].result()  # no more than one waits
@@ -133,7 +146,9 @@ def _draw(
     return passes
 
 
-def _without_paths(scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, line: Timeline) -> tuple[CullingResult, dict[str, Any]]:
+def _without_paths(
+    scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, line: Timeline
+) -> tuple[CullingResult, dict[str, Any]]:
     """EEVEE's picture with all the light that it makes itself. Nothing is met, so everything is culled."""
     from ....core.culling.loop import Loop
 
@@ -149,8 +164,11 @@ def _without_paths(scene: Scene, options: HybridOptions, cull: CullOptions, stem
     return result, _figures(line, 0, 0.0)
 
 
-def _compared(scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, cancelled: Callable[[], bool]) -> tuple[F32, F32]:
-    """What paths show with nothing culled (`composition.reference`), and EEVEE's picture with all its own light, (H, W, 4), which is saved as stem."""
+def _compared(
+    scene: Scene, options: HybridOptions, cull: CullOptions, stem: Path, cancelled: Callable[[], bool]
+) -> tuple[F32, F32]:
+    """What paths show with nothing culled (`composition.reference`), and EEVEE's picture with all its own light, (H, W,
+    4), which is saved as stem."""
     from ....core.hybrid import composition
 
     with ThreadPoolExecutor(1) as worker:
@@ -164,7 +182,8 @@ def _save_layers(layers: dict[str, F32], stem: Path) -> None:
 
 
 def _figures(line: Timeline, rays: int, share: float) -> dict[str, Any]:
-    """Of the frame, for the report. render_s: of all stages but the analysis and its structures. share: of the picture that paths have made."""
+    """Of the frame, for the report. render_s: of all stages but the analysis and its structures. share: of the picture
+    that paths have made."""
     spent = line.seconds
     return {
         "render_s": sum(seconds for stage, seconds in spent.items() if stage not in ("analysis", "building")),
@@ -241,14 +260,26 @@ class _Tracing:
 
         self._check()
         with self.stopping(), self.line.stage("tracing", "worker"):
-            one = dataclasses.replace(self._prepared, scene=dataclasses.replace(self.scene, first_hits={self.size: primary}))
+            one = dataclasses.replace(
+                self._prepared, scene=dataclasses.replace(self.scene, first_hits={self.size: primary})
+            )
             first, last = self._first[index : index + 2].tolist()
             within = part(self.progress, index / self.passes, (index + 1) / self.passes)
             samples = {"samples": last - first, "first_sample": first, "seed": self.seed}
-            picture = trace(one, self._tlas, **samples, threads=self.threads, progress=within, cancelled=self._stopped, boxes=self._boxes)
+            picture = trace(
+                one,
+                self._tlas,
+                **samples,
+                threads=self.threads,
+                progress=within,
+                cancelled=self._stopped,
+                boxes=self._boxes,
+            )
             self._check()
             self._picture = added(self._picture, picture)
-            self._shown += np.concatenate([_decided(primary, self.result), guides(self._prepared.table, primary)], axis=2)
+            self._shown += np.concatenate(
+                [_decided(primary, self.result), guides(self._prepared.table, primary)], axis=2
+            )
 
     def _stopped(self) -> bool:
         return self._failed or self._cancelled()
@@ -267,11 +298,17 @@ class _Tracing:
     def shown(self) -> dict[str, F32]:
         """Layers of what was decided about what is seen, of its base colours and normals."""
         shown = self._shown / np.float32(self.passes)
-        return {"Culling State": shown[..., 0], "Hit Feedback": shown[..., 1], "Albedo": shown[..., 2:5], "Normal": shown[..., 5:8]}
+        return {
+            "Culling State": shown[..., 0],
+            "Hit Feedback": shown[..., 1],
+            "Albedo": shown[..., 2:5],
+            "Normal": shown[..., 5:8],
+        }
 
 
 def _decided(primary: FirstHitBuffer, result: CullingResult) -> F32:
-    """(H, W, 2) of what is seen: 1 where active, 0 where culled or nothing; and log10(1 + n) of the n rays of the analysis that met it."""
+    """(H, W, 2) of what is seen: 1 where active, 0 where culled or nothing; and log10(1 + n) of the n rays of the
+    analysis that met it."""
     instance = primary.hits["instance"]
     there = instance >= 0
     met = np.log10(1.0 + result.hits.sum(axis=1))
@@ -279,14 +316,18 @@ def _decided(primary: FirstHitBuffer, result: CullingResult) -> F32:
     return np.stack([active, np.where(there, met[instance], 0.0)], axis=2).astype(np.float32)
 
 
-def _combine(light: Light, passes: Passes | None, shown: dict[str, F32], clean: bool, threads: int) -> tuple[F32, dict[str, F32]]:
+def _combine(
+    light: Light, passes: Passes | None, shown: dict[str, F32], clean: bool, threads: int
+) -> tuple[F32, dict[str, F32]]:
     """The picture, (H, W, 4), and all layers by name. shown: `_Tracing.shown`. clean: without noise."""
     visible = passes.visible if passes is not None else None
     lamps = light.lamps(visible)
     traced = lamps + light.indirect
     layers = {**shown, "Traced Indirect": light.indirect, "Traced Lamps": lamps, "Shadow Doubt": light.doubt(visible)}
     if clean:
-        traced = layers["Denoised"] = denoise(traced, passes.albedo if passes is not None else shown["Albedo"], shown["Normal"], threads)
+        traced = layers["Denoised"] = denoise(
+            traced, passes.albedo if passes is not None else shown["Albedo"], shown["Normal"], threads
+        )
     picture = layers["Combined"] = np.concatenate([light.straight + traced, light.alpha[..., None]], axis=2)
     return picture, layers | (_raster_layers(passes) if passes is not None else {})
 

@@ -33,10 +33,11 @@ def render_path(
     cancelled: Callable[[], bool] | None = None,
     built: Built | None = None,
 ) -> float:
-    """Render the active instances, (N,) bool, of a core scene by the path tracer, save stem.exr and stem.png, and return the seconds, building included.
+    """Render the active instances, (N,) bool, of a core scene by the path tracer, save stem.exr and stem.png, and
+    return the seconds, building included.
 
-    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png. built: the structures of the active instances, where they
-    are there.
+    samples: per pixel, None as the open file asks of Cycles; its view transform gives the .png. built: the structures
+    of the active instances, where they are there.
     Raises Cancelled, and saves nothing, where cancelled() says so.
     """
     from ....core.accel.blas import BlasCache
@@ -52,7 +53,15 @@ def render_path(
         blas.need(scene.instances.mesh[active])
         built = Built(blas, Tlas(scene.instances, blas, active), prepare(scene, blas))
     prepared, tlas = built.prepared.with_emitters(active), built.tlas
-    picture = trace(prepared, tlas, samples or samples_of(blender_scene, "path"), seed=seed, threads=threads, progress=progress, cancelled=cancelled)
+    picture = trace(
+        prepared,
+        tlas,
+        samples or samples_of(blender_scene, "path"),
+        seed=seed,
+        threads=threads,
+        progress=progress,
+        cancelled=cancelled,
+    )
     if cancelled is not None and cancelled():
         raise Cancelled
     seconds = time.perf_counter() - start

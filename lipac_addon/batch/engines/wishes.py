@@ -18,7 +18,8 @@ def samples_of(scene: bpy.types.Scene, engine: str) -> int:
 
 
 def left_out(scene: bpy.types.Scene, engine: str, as_scene: bool = False) -> list[str]:
-    """What the scene asks of its renders and an engine of `ENGINES`, or "" for none, leaves out, a line each. as_scene: as of `Job`."""
+    """What the scene asks of its renders and an engine of `ENGINES`, or "" for none, leaves out, a line each. as_scene:
+    as of `Job`."""
     out, render = [], scene.render
     if render.use_border and engine and not as_scene:
         out.append("render region: the whole picture is rendered")
@@ -29,11 +30,19 @@ def left_out(scene: bpy.types.Scene, engine: str, as_scene: bool = False) -> lis
         out.append(f"output: pictures are .exr and .png; left out: {', '.join(lost)}{way}")
     if render.use_freestyle and engine in BLENDER_ENGINES:
         out.append("Freestyle: lines of what is culled are not drawn")
-    if engine == "eevee" and any(ob.type == "LIGHT" and ob.data.type == "SUN" and not ob.hide_render for ob in scene.objects):
+    if engine == "eevee" and any(
+        ob.type == "LIGHT" and ob.data.type == "SUN" and not ob.hide_render for ob in scene.objects
+    ):
         out.append(
-            "EEVEE's sun: its shadows are as fine as what casts them is wide, so single pixels at their edges may differ from a render with nothing culled"
+            "EEVEE's sun: its shadows are as fine as what casts them is wide, so single pixels at their edges may "
+            "differ from a render with nothing culled"
         )
-    if engine in BLENDER_ENGINES and not as_scene and len(used := rendered_layers(scene)) > 1 and not (render.use_compositing and scene.compositing_node_group):
+    if (
+        engine in BLENDER_ENGINES
+        and not as_scene
+        and len(used := rendered_layers(scene)) > 1
+        and not (render.use_compositing and scene.compositing_node_group)
+    ):
         out.append(f"view layers: the picture is of '{used[0]}', of {len(used)} that were analysed")
     if engine in ("hybrid", "path"):
         if len(used := rendered_layers(scene)) > 1:

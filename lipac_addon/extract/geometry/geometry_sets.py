@@ -34,10 +34,11 @@ class References(Protocol):
 
 @dataclass(eq=False)
 class Geometry:
-    """A GeometrySet: its mesh (-1: none) with the materials of its slots, and its instances grouped by what they refer to.
+    """A GeometrySet: its mesh (-1: none) with the materials of its slots, and its instances grouped by what they refer
+    to.
 
-    offset: of the materials in `Scene.slot_materials`, in this frame. data: address of the data-block, where several objects may share it. ids: whether its
-    instances have ids.
+    offset: of the materials in `Scene.slot_materials`, in this frame. data: address of the data-block, where several
+    objects may share it. ids: whether its instances have ids.
     """
 
     mesh: int = -1
@@ -47,16 +48,22 @@ class Geometry:
     offset: int = 0
     data: int = 0
     ids: bool = False
-    columns: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4, 4), np.float32))  # (n, 4, 4), column-major
-    groups: list[tuple[NDArray[np.int64] | None, Any]] = field(default_factory=list)  # rows (None: all), Target | Geometry | None
+    # (n, 4, 4), column-major
+    columns: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4, 4), np.float32))
+    # rows (None: all), Target | Geometry | None
+    groups: list[tuple[NDArray[np.int64] | None, Any]] = field(default_factory=list)
 
     def same(self, other: Geometry) -> bool:
         """Whether it places the same in the same way; not what becomes of objects and collections that it refers to."""
         return (
-            (self.mesh, self.materials, self.offset, len(self.groups)) == (other.mesh, other.materials, other.offset, len(other.groups))
+            (self.mesh, self.materials, self.offset, len(self.groups))
+            == (other.mesh, other.materials, other.offset, len(other.groups))
             and (self.bounds is other.bounds or np.array_equal(self.bounds, other.bounds))  # type: ignore[arg-type]
             and (self.columns is other.columns or np.array_equal(self.columns, other.columns))
-            and all(_same_rows(a, b) and _same_target(x, y) for (a, x), (b, y) in zip(self.groups, other.groups, strict=True))
+            and all(
+                _same_rows(a, b) and _same_target(x, y)
+                for (a, x), (b, y) in zip(self.groups, other.groups, strict=True)
+            )
         )
 
 
@@ -75,7 +82,8 @@ def _same_target(a: Any, b: Any) -> bool:
 class GeometryReader:
     """The geometry of a scene's objects, frame by frame.
 
-    meshes: of all frames. slots, materials (by name, of the graph), pairs (meshes with their offsets into the slot table) and warnings: of this frame.
+    meshes: of all frames. slots, materials (by name, of the graph), pairs (meshes with their offsets into the slot
+    table) and warnings: of this frame.
     """
 
     def __init__(self, references: References) -> None:
@@ -100,23 +108,36 @@ class GeometryReader:
         self.materials = {}
 
     def shared(self, item: Any, data: int) -> Geometry | None:
-        """The geometry of an object without modifiers whose data-block, at that address, has been read for another in this frame."""
+        """The geometry of an object without modifiers whose data-block, at that address, has been read for another in
+        this frame."""
         if data not in self._keys:
             return None
         key = self._keys[data]
-        out = Geometry(self.meshes.touch(key), key, data=data, materials=material_slots(item, item.data, self.override, self.materials))
+        out = Geometry(
+            self.meshes.touch(key),
+            key,
+            data=data,
+            materials=material_slots(item, item.data, self.override, self.materials),
+        )
         self._settle(out)
         return out
 
     def read(self, geometry: Any, kept: Any, item: Any, key: str, lines: dict[str, None], data: int = 0) -> Geometry:
-        """Read the GeometrySet of an object. kept: another of the same, for meshes that are read later. key: names its mesh over the frames. lines: what is not
-        rendered is added. data: as of `Geometry`."""
+        """Read the GeometrySet of an object. kept: another of the same, for meshes that are read later. key: names its
+        mesh over the frames. lines: what is not rendered is added. data: as of `Geometry`."""
         while self.meshes.taken(key):  # an evaluated mesh of an object's own may have the name of another
             key = f"{key}\n{item.name}"
         out = Geometry(self.meshes.read(key, geometry, kept, item.name), key, data=data)
-        for name, kind in (("pointcloud", "point cloud"), ("curves", "curves (hair)"), ("volume", "volume"), ("grease_pencil", "Grease Pencil")):
+        for name, kind in (
+            ("pointcloud", "point cloud"),
+            ("curves", "curves (hair)"),
+            ("volume", "volume"),
+            ("grease_pencil", "Grease Pencil"),
+        ):
             part = getattr(geometry, name, None)
-            if part is not None and not (name == "curves" and geometry.mesh is not None and item.type in {"CURVE", "FONT", "SURFACE"}):
+            if part is not None and not (
+                name == "curves" and geometry.mesh is not None and item.type in {"CURVE", "FONT", "SURFACE"}
+            ):
                 splats = getattr(part, "type", "") == "GAUSSIAN_SPLAT"
                 lines.setdefault(f"object {item.name}: {'Gaussian splats' if splats else kind} not rendered")
         if out.mesh >= 0:
@@ -132,7 +153,8 @@ class GeometryReader:
         if len(targets) == 1:
             out.groups.append((None, self._reference(*targets[0], item, f"{key}/0", lines)))
         elif targets:
-            order = np.argsort(reference.astype(np.min_scalar_type(len(targets))), kind="stable")  # small types are sorted by counting
+            # small types are sorted by counting
+            order = np.argsort(reference.astype(np.min_scalar_type(len(targets))), kind="stable")
             ends = np.searchsorted(reference[order], np.arange(len(targets) + 1))
             for k, (a, b) in enumerate(pairwise(ends)):
                 if b > a:
@@ -172,4 +194,6 @@ class GeometryReader:
         geometry.offset = self.slots.offset(geometry.materials, source.slot_count)
         self.pairs.add((geometry.mesh, geometry.offset))
         if source.broken:
-            self.warnings.setdefault(f"mesh of {source.name!r} has vertices that are not finite: triangles with these are left out")
+            self.warnings.setdefault(
+                f"mesh of {source.name!r} has vertices that are not finite: triangles with these are left out"
+            )

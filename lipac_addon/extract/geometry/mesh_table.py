@@ -14,10 +14,11 @@ from .meshes import NO_BOUNDS, Loaded, MeshSource, describe, load
 
 
 class MeshTable:
-    """The meshes of all frames so far: each keeps its index while it is there; the index of one that vanished goes to another in a later frame.
+    """The meshes of all frames so far: each keeps its index while it is there; the index of one that vanished goes to
+    another in a later frame.
 
-    Whether a mesh that Blender evaluated anew is another is found by reading it, where somebody holds what it was (that is, where it is active); where nobody
-    does, it counts as another. Index -1 is a geometry without faces.
+    Whether a mesh that Blender evaluated anew is another is found by reading it, where somebody holds what it was (that
+    is, where it is active); where nobody does, it counts as another. Index -1 is a geometry without faces.
     """
 
     def __init__(self) -> None:
@@ -59,8 +60,8 @@ class MeshTable:
     def read(self, key: str, geometry: Any, kept: Any, name: str) -> int:
         """The index of what is new or may have changed; its bounds are read.
 
-        geometry, kept: two GeometrySets of the same. What is read of one becomes a copy of its own, so one is read now, and the other, which goes on to share
-        Blender's memory, is kept.
+        geometry, kept: two GeometrySets of the same. What is read of one becomes a copy of its own, so one is read now,
+        and the other, which goes on to share Blender's memory, is kept.
         """
         self._used.add(key)
         index = self._index.get(key, -1)
@@ -70,7 +71,8 @@ class MeshTable:
                 self._drop(index)
             self._index[key] = -1
             return -1
-        source.geometry, _ = kept, kept.mesh  # asked for its mesh it makes one of its own, which outlives the graph and shares its arrays
+        # asked for its mesh it makes one of its own, which outlives the graph and shares its arrays
+        source.geometry, _ = kept, kept.mesh
         if index < 0:
             if self._free:
                 index = self._free.pop(0)
@@ -95,11 +97,16 @@ class MeshTable:
                 relief = reliefs.get(index)
                 if relief is not None:
                     most = float(np.linalg.norm(source.bounds[1] - source.bounds[0]))  # where nothing better is known
-                    relief = replace(relief, low=relief.low if np.isfinite(relief.low) else -most, high=relief.high if np.isfinite(relief.high) else most)
+                    relief = replace(
+                        relief,
+                        low=relief.low if np.isfinite(relief.low) else -most,
+                        high=relief.high if np.isfinite(relief.high) else most,
+                    )
                 source.relief = relief
 
     def keeps_place(self, index: int) -> bool:
-        """Whether the coordinates of a mesh began at its own origin in the frame before, and it was displaced as it is, and nothing says otherwise in this."""
+        """Whether the coordinates of a mesh began at its own origin in the frame before, and it was displaced as it is,
+        and nothing says otherwise in this."""
         source = self.sources[index]
         if source is None or source.relief != self._reliefs.get(index):
             return False
@@ -125,7 +132,9 @@ class MeshTable:
             needs_uv = index in textured
             if index in self._before:
                 before = self._before[index]
-            elif source is not None and (needs_uv != source.needs_uv or (needs_uv and other_maps) or self._shaped_anew(index, source)):
+            elif source is not None and (
+                needs_uv != source.needs_uv or (needs_uv and other_maps) or self._shaped_anew(index, source)
+            ):
                 before = source
             else:
                 continue

@@ -1,7 +1,8 @@
 """Evaluated meshes: bounds at once, triangles on demand.
 
-A mesh is held as the `GeometrySet` that Blender's Python gives out: it owns its data (shared, not copied, with the evaluated object while that lives), so it
-can be read after the dependency graph is gone. Of scatters, too, nothing but the GeometrySet is kept, whose matrices are read in place.
+A mesh is held as the `GeometrySet` that Blender's Python gives out: it owns its data (shared, not copied, with the
+evaluated object while that lives), so it can be read after the dependency graph is gone. Of scatters, too, nothing but
+the GeometrySet is kept, whose matrices are read in place.
 """
 
 from __future__ import annotations
@@ -27,12 +28,15 @@ EMPTY = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
 @dataclass
 class MeshSource:
-    """Where a mesh comes from: its geometry, name for messages, number of material slots that its triangles use, and whether any material needs UVs.
+    """Where a mesh comes from: its geometry, name for messages, number of material slots that its triangles use, and
+    whether any material needs UVs.
 
-    origin: (3,) where its coordinates begin (`core.scene.placing.local_origin`), set when it is first placed; bounds are in Blender's own coordinates.
-    divisible: whether faces of it may be culled by themselves, so that their numbers are read.
+    origin: (3,) where its coordinates begin (`core.scene.placing.local_origin`), set when it is first placed; bounds
+    are in Blender's own coordinates. divisible: whether faces of it may be culled by themselves, so that their numbers
+    are read.
     relief: how its materials displace it, in metres of its own space; None where none does.
-    loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the first who asks.
+    loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the
+    first who asks.
     """
 
     geometry: Any  # GeometrySet
@@ -61,7 +65,8 @@ class MeshSource:
 
 @dataclass(frozen=True)
 class Loaded:
-    """A mesh that was read: references to its triangles that keep nothing alive, and digests (SHA-256) of triangles with slots, and of all else."""
+    """A mesh that was read: references to its triangles that keep nothing alive, and digests (SHA-256) of triangles
+    with slots, and of all else."""
 
     triangles: tuple[weakref.ref[NDArray[Any]], ...]
     topology: bytes
@@ -71,7 +76,11 @@ class Loaded:
     def of(mesh: Mesh, before: Loaded | None = None) -> Loaded:
         """The record of a mesh. before: of what it was; who holds that follows its changes."""
         held = () if before is None else tuple(ref for ref in before.triangles if ref() is not None)
-        return Loaded((*held, weakref.ref(mesh.triangles)), _digest(mesh.triangles, mesh.slots), _digest(mesh.positions, mesh.normals, mesh.uvs))
+        return Loaded(
+            (*held, weakref.ref(mesh.triangles)),
+            _digest(mesh.triangles, mesh.slots),
+            _digest(mesh.positions, mesh.normals, mesh.uvs),
+        )
 
     @property
     def held(self) -> bool:
@@ -97,8 +106,9 @@ def read(collection: Any, name: str, count: int, width: int = 1, dtype: type = n
 
 
 def matrices(collection: Any, count: int, owner: Any) -> NDArray[np.float32]:
-    """The 4x4 matrices of an attribute, (count, 4, 4) float32, column-major as Blender stores them: not to be written to. They are read in place, where
-    Blender says that they lie one after the other, and keep owner, whose they are, alive; at a million that saves 64 MB, and the time to fill them.
+    """The 4x4 matrices of an attribute, (count, 4, 4) float32, column-major as Blender stores them: not to be written
+    to. They are read in place, where Blender says that they lie one after the other, and keep owner, whose they are,
+    alive; at a million that saves 64 MB, and the time to fill them.
     """
     if count < 2:
         return read(collection, "value", count, 16).reshape(count, 4, 4)
@@ -106,7 +116,10 @@ def matrices(collection: Any, count: int, owner: Any) -> NDArray[np.float32]:
     if last.as_pointer() - first.as_pointer() != 64 * (count - 1):
         return read(collection, "value", count, 16).reshape(count, 4, 4)
     out = np.asarray(_InPlace(first.as_pointer(), (count, 4, 4), owner))
-    same = all(np.array_equal(out[k].T, np.array(item.value, np.float32), equal_nan=True) for k, item in ((0, first), (-1, last)))
+    same = all(
+        np.array_equal(out[k].T, np.array(item.value, np.float32), equal_nan=True)
+        for k, item in ((0, first), (-1, last))
+    )
     return out if same else read(collection, "value", count, 16).reshape(count, 4, 4)
 
 
@@ -115,7 +128,8 @@ class _InPlace:
 
     def __init__(self, address: int, shape: tuple[int, ...], owner: Any) -> None:
         self.owner = owner
-        self.__array_interface__ = {"version": 3, "typestr": "<f4", "shape": shape, "data": (address, False)}  # kernels have but one variant
+        # kernels have but one variant
+        self.__array_interface__ = {"version": 3, "typestr": "<f4", "shape": shape, "data": (address, False)}
 
 
 def _positions(mesh: Any) -> F32:
@@ -147,12 +161,17 @@ def describe(geometry: Any, name: str) -> MeshSource | None:
             return None
         bounds = _box(positions)
     index = mesh.attributes.get("material_index")
-    slots = int(read(index.data, "value", len(mesh.polygons), dtype=np.int32).max()) + 1 if index is not None and index.domain == "FACE" else 1
+    slots = (
+        int(read(index.data, "value", len(mesh.polygons), dtype=np.int32).max()) + 1
+        if index is not None and index.domain == "FACE"
+        else 1
+    )
     return MeshSource(geometry, name, bounds.astype(np.float32), min(max(slots, 1), 1 << 16), broken)
 
 
 def _uv(mesh: Any, name: str) -> F32:
-    """(loops, 2) of a UV map; index 0's name "" is the active render map. Zeros where the mesh has none, as in Cycles."""
+    """(loops, 2) of a UV map; index 0's name "" is the active render map. Zeros where the mesh has none, as in
+    Cycles."""
     layers = mesh.uv_layers
     layer = next((item for item in layers if item.active_render), None) if name == "" else layers.get(name)
     count = len(mesh.loops)
@@ -162,8 +181,8 @@ def _uv(mesh: Any, name: str) -> F32:
 def _corners(mesh: Any) -> NDArray[np.int32]:
     """(T, 3) corners of the triangles of a mesh.
 
-    Blender gives them out one by one, which takes most of the time that reading a mesh takes. They lie in one array, whose address is that of the first; where
-    it turns out not to be so, they are read one by one.
+    Blender gives them out one by one, which takes most of the time that reading a mesh takes. They lie in one array,
+    whose address is that of the first; where it turns out not to be so, they are read one by one.
     """
     triangles, count = mesh.loop_triangles, len(mesh.loop_triangles)
     if not count:
@@ -213,11 +232,16 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
     if source.divisible and len(corners) != len(mesh.polygons):
         faces = read(mesh.loop_triangle_polygons, "value", len(corners), dtype=np.int32)[kept]
     out = Mesh(positions, triangles, normals, uvs, slots, faces)
-    return out if source.relief is None else shells(out, read(mesh.vertex_normals, "vector", len(positions), 3), source.relief)
+    return (
+        out
+        if source.relief is None
+        else shells(out, read(mesh.vertex_normals, "vector", len(positions), 3), source.relief)
+    )
 
 
 class LazyMeshes(Sequence[Mesh]):
-    """`Scene.meshes`: item m is read from Blender each time it is asked for, so keep what you need. Not to be asked for by two threads at once."""
+    """`Scene.meshes`: item m is read from Blender each time it is asked for, so keep what you need. Not to be asked for
+    by two threads at once."""
 
     def __init__(self, sources: Sequence[MeshSource | None], uv_maps: Sequence[str]) -> None:
         self.sources = list(sources)

@@ -9,11 +9,13 @@ import numpy as np
 from ....core.arrays import I32
 
 Slots = tuple[str | None, ...]
-"""Names of the materials of a mesh's slots, at least one; None for the default. Past the last slot the last one counts."""
+"""Names of the materials of a mesh's slots, at least one; None for the default. Past the last slot the last one
+counts."""
 
 
 def material_slots(item: Any, mesh: Any, override: Any, materials: dict[str, Any]) -> Slots:
-    """Names of the materials of an object's mesh: a slot linked to the object comes before the mesh's own. The materials are added to `materials`."""
+    """Names of the materials of an object's mesh: a slot linked to the object comes before the mesh's own. The
+    materials are added to `materials`."""
     if override is not None:
         found = [override]
     else:

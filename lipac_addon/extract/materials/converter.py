@@ -18,8 +18,11 @@ HALF = grey(0.5)
 class Converter:
     """Makes records of the shader sockets of one inlined tree, as one view sees them."""
 
-    def __init__(self, textures: TextureTable, report: Callable[[str], None], reader: Reader, shaders: ModuleType) -> None:
-        """shaders: its functions `node_TYPE(converter, node)` make materials of nodes of the type of that name in lower case; None is black."""
+    def __init__(
+        self, textures: TextureTable, report: Callable[[str], None], reader: Reader, shaders: ModuleType
+    ) -> None:
+        """shaders: its functions `node_TYPE(converter, node)` make materials of nodes of the type of that name in lower
+        case; None is black."""
         self.textures = textures
         self.report = report
         self.reader = reader
@@ -81,7 +84,8 @@ class Converter:
         """Both multiplied, as one image at most."""
         if a.use is None or b.use is None:
             image, other = (a, b) if b.use is None else (b, a)
-            return Value(tuple(x * y for x, y in zip(image.factor, other.factor, strict=True)), image.use, image.channel)  # type: ignore[arg-type]
+            factor = tuple(x * y for x, y in zip(image.factor, other.factor, strict=True))
+            return Value(factor, image.use, image.channel)  # type: ignore[arg-type]
         return self.reader.map(lambda x, y: x * y, a, b)
 
     def emit(self, record: Records, color: Any, strength: Any) -> None:

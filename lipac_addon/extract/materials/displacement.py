@@ -1,7 +1,8 @@
-"""True displacement: how far a material moves a surface, by interval arithmetic, and the two shells between which the surface then lies.
+"""True displacement: how far a material moves a surface, by interval arithmetic, and the two shells between which the
+surface then lies.
 
-The tracer does not displace. In place of the surface it has the innermost and the outermost one that it can be, each of which lets half of all rays pass: so
-whatever the displaced surface hides, shows or is hit by, paths meet.
+The tracer does not displace. In place of the surface it has the innermost and the outermost one that it can be, each of
+which lets half of all rays pass: so whatever the displaced surface hides, shows or is hit by, paths meet.
 """
 
 from __future__ import annotations
@@ -21,14 +22,28 @@ UNKNOWN: Interval = (-np.inf, np.inf)
 UNIT = (0.0, 1.0)
 # What the values of nodes lie within. Noise that is normalised is 0 to 1 but for rare peaks.
 RANGES = {
-    **dict.fromkeys(("TEX_WAVE", "TEX_GRADIENT", "TEX_MAGIC", "TEX_CHECKER", "TEX_BRICK", "TEX_WHITE_NOISE", "RGBTOBW", "INVERT", "CLAMP"), UNIT),
+    **dict.fromkeys(
+        (
+            "TEX_WAVE",
+            "TEX_GRADIENT",
+            "TEX_MAGIC",
+            "TEX_CHECKER",
+            "TEX_BRICK",
+            "TEX_WHITE_NOISE",
+            "RGBTOBW",
+            "INVERT",
+            "CLAMP",
+        ),
+        UNIT,
+    ),
     **dict.fromkeys(("FRESNEL", "LAYER_WEIGHT", "AMBIENT_OCCLUSION", "LIGHT_PATH", "WIREFRAME"), UNIT),
 }
 
 
 @dataclass(frozen=True)
 class Relief:
-    """Within what a surface is moved along its normals, in metres of the object's space (infinite: not known); world: the material means the world's.
+    """Within what a surface is moved along its normals, in metres of the object's space (infinite: not known); world:
+    the material means the world's.
 
     slots: of the mesh, which are displaced; none: those of one material.
     """
@@ -40,7 +55,13 @@ class Relief:
 
     def joined(self, other: Relief | None) -> Relief:
         """What holds for both."""
-        return self if other is None else replace(self, low=min(self.low, other.low), high=max(self.high, other.high), world=self.world or other.world)
+        return (
+            self
+            if other is None
+            else replace(
+                self, low=min(self.low, other.low), high=max(self.high, other.high), world=self.world or other.world
+            )
+        )
 
     def scaled(self, factor: float) -> Relief:
         """Larger by a factor, where that is more than 1."""
@@ -55,9 +76,15 @@ def relief_of(tree: Any) -> Relief | None:
     node = output.inputs["Displacement"].links[0].from_node
     world = getattr(node, "space", "OBJECT") == "WORLD"
     if node.type == "DISPLACEMENT":
-        low, high = _product(_sum(_range(node.inputs["Height"]), _negative(_range(node.inputs["Midlevel"]))), _range(node.inputs["Scale"]))
+        low, high = _product(
+            _sum(_range(node.inputs["Height"]), _negative(_range(node.inputs["Midlevel"]))),
+            _range(node.inputs["Scale"]),
+        )
     elif node.type == "VECTOR_DISPLACEMENT":
-        offset = _product(_sum(_range(node.inputs["Vector"]), _negative(_range(node.inputs["Midlevel"]))), _range(node.inputs["Scale"]))
+        offset = _product(
+            _sum(_range(node.inputs["Vector"]), _negative(_range(node.inputs["Midlevel"]))),
+            _range(node.inputs["Scale"]),
+        )
         high = float(np.sqrt(3) * np.abs(offset).max())  # in any direction
         low = -high
     else:
@@ -75,7 +102,8 @@ def _negative(a: Interval) -> Interval:
 
 def _product(a: Interval, b: Interval) -> Interval:
     with np.errstate(invalid="ignore"):
-        ends = np.nan_to_num(np.outer(a, b), nan=0.0, posinf=np.inf, neginf=-np.inf)  # nothing times anything is nothing
+        # nothing times anything is nothing
+        ends = np.nan_to_num(np.outer(a, b), nan=0.0, posinf=np.inf, neginf=-np.inf)
     return float(ends.min()), float(ends.max())
 
 
@@ -160,7 +188,12 @@ def _map_range(node: Any) -> Interval:
     if node.clamp or node.interpolation_type in {"SMOOTHSTEP", "SMOOTHERSTEP"}:
         return ends
     value, start, end = (_range(sockets[name]) for name in ("Value", "From Min", "From Max"))
-    inside = start[0] == start[1] and end[0] == end[1] and min(start[0], end[0]) <= value[0] and value[1] <= max(start[0], end[0])
+    inside = (
+        start[0] == start[1]
+        and end[0] == end[1]
+        and min(start[0], end[0]) <= value[0]
+        and value[1] <= max(start[0], end[0])
+    )
     return ends if inside else UNKNOWN
 
 
@@ -175,7 +208,14 @@ def _mix(node: Any) -> Interval:
 
 def _blend(kind: str, a: Interval, b: Interval) -> Interval:
     """Of any share of the second."""
-    results = {"MIX": b, "ADD": _sum(a, b), "SUBTRACT": _sum(a, _negative(b)), "MULTIPLY": _product(a, b), "LIGHTEN": _hull(a, b), "DARKEN": _hull(a, b)}
+    results = {
+        "MIX": b,
+        "ADD": _sum(a, b),
+        "SUBTRACT": _sum(a, _negative(b)),
+        "MULTIPLY": _product(a, b),
+        "LIGHTEN": _hull(a, b),
+        "DARKEN": _hull(a, b),
+    }
     return _hull(a, results[kind]) if kind in results else UNKNOWN
 
 
@@ -204,13 +244,22 @@ _NODES: dict[str, Callable[[Any], Interval]] = {
 
 
 def shells(mesh: Mesh, normals: F32, relief: Relief) -> Mesh:
-    """A mesh whose displaced triangles are there twice: moved as far in and out along the normals of the vertices, (V, 3) float32, as they may be."""
+    """A mesh whose displaced triangles are there twice: moved as far in and out along the normals of the vertices, (V,
+    3) float32, as they may be."""
     slots: NDArray[Any] = np.zeros(len(mesh.triangles), np.uint16) if mesh.slots is None else mesh.slots
     displaced = np.array(relief.slots, bool)[np.minimum(slots, len(relief.slots) - 1)]
     count = len(mesh.positions)
-    positions = np.concatenate([mesh.positions, *(mesh.positions + normals * np.float32(offset) for offset in (relief.low, relief.high))])
+    positions = np.concatenate(
+        [mesh.positions, *(mesh.positions + normals * np.float32(offset) for offset in (relief.low, relief.high))]
+    )
     rows = np.concatenate([np.flatnonzero(~displaced), *2 * (np.flatnonzero(displaced),)])
-    moved = np.concatenate([np.zeros(int((~displaced).sum())), np.full(int(displaced.sum()), count), np.full(int(displaced.sum()), 2 * count)])
+    moved = np.concatenate(
+        [
+            np.zeros(int((~displaced).sum())),
+            np.full(int(displaced.sum()), count),
+            np.full(int(displaced.sum()), 2 * count),
+        ]
+    )
     return Mesh(
         positions.astype(np.float32),
         mesh.triangles[rows] + moved.astype(np.uint32)[:, None],

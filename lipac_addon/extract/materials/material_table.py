@@ -1,10 +1,12 @@
 """Node materials -> MATERIAL records.
 
-Principled and the plain BSDF nodes map one to one. Mix and Add shaders become materials composed of others, which paths pick at random by their shares; with
-Transparent a Principled gets an alpha, with Emission a plain BSDF an emission. A tree that tells rays or sides apart is converted for each of them.
+Principled and the plain BSDF nodes map one to one. Mix and Add shaders become materials composed of others, which paths
+pick at random by their shares; with Transparent a Principled gets an alpha, with Emission a plain BSDF an emission. A
+tree that tells rays or sides apart is converted for each of them.
 
-What is not modelled errs on the side of seeing more: where nobody can say how much passes through, half of the paths do, and the record is marked as unsure, so
-that what they see there is kept. Whatever differs from Blender is reported as "material NAME: WHAT".
+What is not modelled errs on the side of seeing more: where nobody can say how much passes through, half of the paths
+do, and the record is marked as unsure, so that what they see there is kept. Whatever differs from Blender is reported
+as "material NAME: WHAT".
 """
 
 from __future__ import annotations
@@ -24,13 +26,19 @@ from .reader import Reader, View
 from .textures import TextureTable
 from .trees import Composed, Tree, black, clear, heads, key_of, leaves, mixed, unsure
 
-LIGHT_LOOP = {"ShaderNodeLightAccumulation", "ShaderNodeLightEvaluation", "ShaderNodeLightInfo", "ShaderNodeShadowRaycast"}
+LIGHT_LOOP = {
+    "ShaderNodeLightAccumulation",
+    "ShaderNodeLightEvaluation",
+    "ShaderNodeLightInfo",
+    "ShaderNodeShadowRaycast",
+}
 
 
 class MaterialTable:
     """Materials by name: `index(material)` converts one the first time.
 
-    records: the materials, composed ones with `parts` that are numbered from the first of those records that are parts of others.
+    records: the materials, composed ones with `parts` that are numbered from the first of those records that are parts
+    of others.
     """
 
     def __init__(self, textures: TextureTable, displaced: bool = True) -> None:
@@ -97,7 +105,9 @@ class MaterialTable:
         relief = relief_of(tree) if material.displacement_method != "BUMP" and self.displaced else None
         if relief is not None:
             far = "" if np.isfinite((relief.low, relief.high)).all() else ", as far as the object is large"
-            report(f"displacement taken for two surfaces, at its lowest and its highest{far}: half of the rays pass each")
+            report(
+                f"displacement taken for two surfaces, at its lowest and its highest{far}: half of the rays pass each"
+            )
             out = unsure(mixed(out, clear()))
         elif _is_linked(tree, "Displacement"):
             report("bump not rendered" if material.displacement_method == "BUMP" else "displacement not rendered")
@@ -112,7 +122,8 @@ def _is_linked(tree: Any, name: str) -> bool:
 
 
 def loops_over_lights(tree: Any) -> bool:
-    """Whether a shader tree, or a group in it, has a node of Blender 5.3 that asks for lights: inlining puts constants in their place."""
+    """Whether a shader tree, or a group in it, has a node of Blender 5.3 that asks for lights: inlining puts constants
+    in their place."""
     trees, seen = [tree], set()
     while trees:
         tree = trees.pop()

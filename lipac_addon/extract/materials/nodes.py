@@ -1,4 +1,5 @@
-"""Nodes that make values: `node_TYPE(reader, node, socket)` is the Value at an output socket, or None where it cannot say."""
+"""Nodes that make values: `node_TYPE(reader, node, socket)` is the Value at an output socket, or None where it cannot
+say."""
 
 from __future__ import annotations
 
@@ -36,7 +37,9 @@ def node_light_path(reader: Reader, node: Any, socket: Any) -> Value | None:
     if socket.name in _ON:
         return grey(float(reader.view.ray in _ON[socket.name]))
     mirrored = reader.view.ray in {RayType.GLOSSY, RayType.TRANSMISSION}
-    if (socket.name == "Is Singular Ray" and not mirrored) or (socket.name.endswith("Depth") and _straight(reader, socket.name)):
+    if (socket.name == "Is Singular Ray" and not mirrored) or (
+        socket.name.endswith("Depth") and _straight(reader, socket.name)
+    ):
         return grey(0.0)
     return None
 
@@ -54,12 +57,16 @@ def node_new_geometry(reader: Reader, node: Any, socket: Any) -> Value | None:
 
 def node_tex_image(reader: Reader, node: Any, socket: Any) -> Value:
     if node.projection != "FLAT":
-        reader.doubt(f"{node.projection.lower()} projection of image {node.image.name if node.image else ''!r} replaced by UVs")
+        reader.doubt(
+            f"{node.projection.lower()} projection of image {node.image.name if node.image else ''!r} replaced by UVs"
+        )
     uv_map, matrix = placement(reader, node.inputs["Vector"])
     alpha_read = node.outputs["Alpha"].is_linked
     source = reader.textures.image(node.image, not alpha_read)
     reader.doubts += not reader.textures.sources[source].exact
-    use = ImageUse(source, reader.textures.uv_map(uv_map), matrix, int(EXTENSIONS[node.extension]), node.interpolation == "Closest")
+    use = ImageUse(
+        source, reader.textures.uv_map(uv_map), matrix, int(EXTENSIONS[node.extension]), node.interpolation == "Closest"
+    )
     return Value((1.0, 1.0, 1.0), use, ALPHA if socket.name == "Alpha" else None)
 
 
@@ -82,7 +89,10 @@ def _channel(reader: Reader, source: Any, k: int) -> Value:
 def node_combine_color(reader: Reader, node: Any, socket: Any) -> Value | None:
     if getattr(node, "mode", "RGB") != "RGB":
         return None
-    return reader.map(lambda r, g, b: np.concatenate(np.broadcast_arrays(r[..., :1], g[..., :1], b[..., :1]), axis=2), *map(reader.value, node.inputs[:3]))
+    return reader.map(
+        lambda r, g, b: np.concatenate(np.broadcast_arrays(r[..., :1], g[..., :1], b[..., :1]), axis=2),
+        *map(reader.value, node.inputs[:3]),
+    )
 
 
 node_combrgb = node_combxyz = node_combine_color
@@ -111,7 +121,9 @@ def node_math(reader: Reader, node: Any, socket: Any) -> Value | None:
     if function is None:
         return None
     values += [grey(0.0)] * (3 - len(values))
-    return reader.map(lambda a, b, c: np.clip(function(a, b, c), 0, 1) if node.use_clamp else function(a, b, c), *values[:3])
+    return reader.map(
+        lambda a, b, c: np.clip(function(a, b, c), 0, 1) if node.use_clamp else function(a, b, c), *values[:3]
+    )
 
 
 def node_vect_math(reader: Reader, node: Any, socket: Any) -> Value | None:
@@ -123,20 +135,26 @@ def node_vect_math(reader: Reader, node: Any, socket: Any) -> Value | None:
 
 
 def node_mix(reader: Reader, node: Any, socket: Any) -> Value | None:
-    if node.data_type not in {"FLOAT", "RGBA", "VECTOR"} or (node.data_type == "VECTOR" and node.factor_mode != "UNIFORM"):
+    if node.data_type not in {"FLOAT", "RGBA", "VECTOR"} or (
+        node.data_type == "VECTOR" and node.factor_mode != "UNIFORM"
+    ):
         return None
     name = {"FLOAT": "Float", "RGBA": "Color", "VECTOR": "Vector"}[node.data_type]
     inputs = {s.identifier: s for s in node.inputs}
     blend = node.blend_type if node.data_type == "RGBA" else "MIX"
     clamp = node.clamp_result and node.data_type == "RGBA"
-    return _blend(reader, blend, inputs["Factor_Float"], inputs[f"A_{name}"], inputs[f"B_{name}"], clamp, node.clamp_factor)
+    return _blend(
+        reader, blend, inputs["Factor_Float"], inputs[f"A_{name}"], inputs[f"B_{name}"], clamp, node.clamp_factor
+    )
 
 
 def node_mix_rgb(reader: Reader, node: Any, socket: Any) -> Value | None:
     return _blend(reader, node.blend_type, node.inputs[0], node.inputs[1], node.inputs[2], node.use_clamp, True)
 
 
-def _blend(reader: Reader, blend: str, factor: Any, first: Any, second: Any, clamp: bool, clamp_factor: bool) -> Value | None:
+def _blend(
+    reader: Reader, blend: str, factor: Any, first: Any, second: Any, clamp: bool, clamp_factor: bool
+) -> Value | None:
     t = reader.value(factor)
     if t.use is None and clamp_factor:
         t = grey(min(max(t.scalar, 0.0), 1.0))
@@ -151,7 +169,12 @@ def _blend(reader: Reader, blend: str, factor: Any, first: Any, second: Any, cla
         if product is not None:
             return product
     try:
-        return reader.map(lambda x, y, s: np.clip(blend_colors(blend, x, y, s), 0, 1) if clamp else blend_colors(blend, x, y, s), a, b, t)
+        return reader.map(
+            lambda x, y, s: np.clip(blend_colors(blend, x, y, s), 0, 1) if clamp else blend_colors(blend, x, y, s),
+            a,
+            b,
+            t,
+        )
     except NotImplementedError:
         return None
 
@@ -161,7 +184,11 @@ def node_invert(reader: Reader, node: Any, socket: Any) -> Value:
 
 
 def node_gamma(reader: Reader, node: Any, socket: Any) -> Value:
-    return reader.map(lambda a, g: np.where(a > 0, np.maximum(a, 1e-30) ** g, a), reader.value(node.inputs[0]), reader.value(node.inputs[1]))
+    return reader.map(
+        lambda a, g: np.where(a > 0, np.maximum(a, 1e-30) ** g, a),
+        reader.value(node.inputs[0]),
+        reader.value(node.inputs[1]),
+    )
 
 
 def node_brightcontrast(reader: Reader, node: Any, socket: Any) -> Value:
@@ -203,8 +230,14 @@ def node_curve_rgb(reader: Reader, node: Any, socket: Any) -> Value | None:
     if node.inputs[0].is_linked or node.inputs[0].default_value != 1.0:
         return None
     grid = np.arange(257) / 256
-    tables = [np.array([mapping.evaluate(mapping.curves[k], mapping.evaluate(mapping.curves[3], x)) for x in grid]) for k in range(3)]
-    return reader.map(lambda a: np.stack([np.interp(a[..., k], grid, tables[k]) for k in range(3)], axis=-1), reader.value(node.inputs[1]))
+    tables = [
+        np.array([mapping.evaluate(mapping.curves[k], mapping.evaluate(mapping.curves[3], x)) for x in grid])
+        for k in range(3)
+    ]
+    return reader.map(
+        lambda a: np.stack([np.interp(a[..., k], grid, tables[k]) for k in range(3)], axis=-1),
+        reader.value(node.inputs[1]),
+    )
 
 
 def node_hue_sat(reader: Reader, node: Any, socket: Any) -> Value | None:

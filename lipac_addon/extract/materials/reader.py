@@ -1,6 +1,7 @@
 """Values of shader sockets: a constant, an image times a factor, or the pixels that a chain of nodes makes of images.
 
-Works on trees from `inline_shader_nodes()`: Blender has dissolved groups, reroutes, muted nodes and constant arithmetic there.
+Works on trees from `inline_shader_nodes()`: Blender has dissolved groups, reroutes, muted nodes and constant arithmetic
+there.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ MEAN = 4  # the channel value that stands for luminance
 
 @dataclass(frozen=True)
 class Value:
-    """factor (r, g, b) times an image's colour, or times one `channel` of it (3: alpha); without an image the factor alone."""
+    """factor (r, g, b) times an image's colour, or times one `channel` of it (3: alpha); without an image the factor
+    alone."""
 
     factor: tuple[float, float, float]
     use: ImageUse | None = None
@@ -38,7 +40,8 @@ class Value:
 
 @dataclass(frozen=True)
 class View:
-    """What looks at a material. ray: `core.scene.model.RayType`, or LIGHT_VIEW for light sampling; back: at its back."""
+    """What looks at a material. ray: `core.scene.model.RayType`, or LIGHT_VIEW for light sampling; back: at its
+    back."""
 
     ray: int
     back: bool
@@ -56,7 +59,8 @@ class Reader:
     """
 
     def __init__(self, textures: TextureTable, report: Callable[[str], None], view: View, nodes: ModuleType) -> None:
-        """nodes: its functions `node_TYPE(reader, node, socket)` evaluate nodes of the type of that name in lower case, or return None."""
+        """nodes: its functions `node_TYPE(reader, node, socket)` evaluate nodes of the type of that name in lower case,
+        or return None."""
         self.nodes = nodes
         self.textures = textures
         self.report = report
@@ -109,7 +113,8 @@ class Reader:
         return Value((1.0, 1.0, 1.0), self.textures.derive(value.use, self.pixels(value)))
 
     def map(self, function: Callable[..., Any], *values: Value) -> Value:
-        """A function of (H, W, 3) arrays, pixel by pixel. Images that are placed differently cannot be combined: all but the first become their average."""
+        """A function of (H, W, 3) arrays, pixel by pixel. Images that are placed differently cannot be combined: all
+        but the first become their average."""
         first = next((v.use for v in values if v.use is not None), None)
         arrays = []
         for v in values:

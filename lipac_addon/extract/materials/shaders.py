@@ -28,7 +28,8 @@ UNSUPPORTED = {
     "Transmission Dispersion Scale": "dispersion",
 }
 SCALARS = ("metallic", "roughness", "alpha", "transmission")
-TINTED = {Shader.DIFFUSE, Shader.GLOSSY, Shader.GLASS, Shader.TRANSPARENT, Shader.REFRACTION, Shader.TRANSLUCENT}  # linear in `base_color`
+# linear in `base_color`
+TINTED = {Shader.DIFFUSE, Shader.GLOSSY, Shader.GLASS, Shader.TRANSPARENT, Shader.REFRACTION, Shader.TRANSLUCENT}
 
 
 def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
@@ -152,7 +153,9 @@ def node_add_shader(converter: Converter, node: Any) -> Tree | None:
         if int(leaf["shader"]) in TINTED:
             leaf["base_color"] *= 2
         elif leaf["shader"] != Shader.EMISSION:
-            converter.report(f"{Shader(int(leaf['shader'])).name.title()} in an Add Shader rendered with half of its weight")
+            converter.report(
+                f"{Shader(int(leaf['shader'])).name.title()} in an Add Shader rendered with half of its weight"
+            )
     return mixed(a, b)
 
 
@@ -173,7 +176,12 @@ def node_mix_shader(converter: Converter, node: Any) -> Tree | None:
     if isinstance(a, Composed) or isinstance(b, Composed):
         return _mix(converter, a, b, factor)
     for one, other, swapped in ((a, b, False), (b, a, True)):
-        if is_clear(one) and other["shader"] == Shader.PRINCIPLED and other["alpha"] == 1 and other["alpha_texture"] < 0:
+        if (
+            is_clear(one)
+            and other["shader"] == Shader.PRINCIPLED
+            and other["alpha"] == 1
+            and other["alpha_texture"] < 0
+        ):
             converter.scalar(other, "alpha", _complement(converter, factor) if swapped else factor)
             return other
         plain = int(other["shader"]) in TINTED | {Shader.EMISSION}

@@ -13,14 +13,20 @@ from ....core.arrays import F32, U8
 from ....core.scene.model import TEXTURE, Extension, Textures
 
 MAGENTA = (1.0, 0.0, 1.0, 1.0)  # what Cycles shows for an image that it cannot load
-EXTENSIONS = {"REPEAT": Extension.REPEAT, "EXTEND": Extension.EXTEND, "CLIP": Extension.CLIP, "MIRROR": Extension.MIRROR}
+EXTENSIONS = {
+    "REPEAT": Extension.REPEAT,
+    "EXTEND": Extension.EXTEND,
+    "CLIP": Extension.CLIP,
+    "MIRROR": Extension.MIRROR,
+}
 ENCODED = {"sRGB"}  # color spaces of byte images that the sampler decodes
 LINEAR = {"Linear Rec.709", "Linear", "scene_linear", "Non-Color", "Raw", "Generic Data"}
 
 
 @dataclass(frozen=True)
 class ImageUse:
-    """An image as a node samples it. source: index of its pixels in the table; matrix: the 2x3 of `TEXTURE["uv_matrix"]`, row by row."""
+    """An image as a node samples it. source: index of its pixels in the table; matrix: the 2x3 of
+    `TEXTURE["uv_matrix"]`, row by row."""
 
     source: int
     uv_map: int = 0
@@ -31,7 +37,8 @@ class ImageUse:
 
 @dataclass
 class Pixels:
-    """(H, W, 4) uint8 or float32, rows bottom up; srgb: encoded; lines: what Blender shows differently; exact: False where it may show another picture."""
+    """(H, W, 4) uint8 or float32, rows bottom up; srgb: encoded; lines: what Blender shows differently; exact: False
+    where it may show another picture."""
 
     data: U8 | F32
     srgb: bool
@@ -46,7 +53,9 @@ def _magenta(line: str) -> Pixels:
 def srgb_to_linear(value: NDArray[Any]) -> F32:
     """IEC 61966-2-1."""
     value = value.astype(np.float32)
-    return np.where(value <= 0.04045, value / 12.92, ((np.maximum(value, 0.04045) + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.where(value <= 0.04045, value / 12.92, ((np.maximum(value, 0.04045) + 0.055) / 1.055) ** 2.4).astype(
+        np.float32
+    )
 
 
 class TextureTable:
@@ -69,7 +78,8 @@ class TextureTable:
         return self.uv_maps.index(name)
 
     def image(self, image: Any, associate: bool) -> int:
-        """Index of an image's pixels. associate: colour is to be multiplied by alpha (Cycles does where nothing reads the alpha of a node)."""
+        """Index of an image's pixels. associate: colour is to be multiplied by alpha (Cycles does where nothing reads
+        the alpha of a node)."""
         key = ("", False) if image is None else (image.original.name_full, associate)
         if key not in self._known:
             self._known[key] = len(self.sources)
@@ -103,7 +113,9 @@ class TextureTable:
             data = wide
         space = image.colorspace_settings.name
         if space not in LINEAR and space not in ENCODED:
-            lines.append(f"image {image.name!r}: color space {space!r} is read as {'linear' if image.is_float else 'sRGB'}")
+            lines.append(
+                f"image {image.name!r}: color space {space!r} is read as {'linear' if image.is_float else 'sRGB'}"
+            )
         if image.alpha_mode == "NONE":
             data[:, :, 3] = 1.0
         elif associate and image.alpha_mode == "STRAIGHT" and not image.colorspace_settings.is_data:
@@ -156,4 +168,8 @@ class TextureTable:
             record["height"], record["width"] = pixels.data.shape[:2]
             record["extension"], record["closest"], record["uv_map"] = use.extension, use.closest, use.uv_map
             record["uv_matrix"] = np.reshape(use.matrix, (2, 3))
-        return Textures(records, np.concatenate([np.zeros(0, np.uint8), *pools[False]]), np.concatenate([np.zeros(0, np.float32), *pools[True]]))
+        return Textures(
+            records,
+            np.concatenate([np.zeros(0, np.uint8), *pools[False]]),
+            np.concatenate([np.zeros(0, np.float32), *pools[True]]),
+        )

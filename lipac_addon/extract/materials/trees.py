@@ -49,7 +49,9 @@ def unsure(tree: Tree) -> Tree:
 
 def key_of(tree: Tree) -> bytes:
     """Tells materials apart."""
-    return tree.head.tobytes() + key_of(tree.first) + key_of(tree.second) if isinstance(tree, Composed) else tree.tobytes()
+    return (
+        tree.head.tobytes() + key_of(tree.first) + key_of(tree.second) if isinstance(tree, Composed) else tree.tobytes()
+    )
 
 
 def mixed(first: Tree, second: Tree) -> Composed:
@@ -72,7 +74,11 @@ def clear() -> Records:
 
 
 def is_clear(record: Records) -> bool:
-    return bool(record["shader"] == Shader.TRANSPARENT and np.abs(record["base_color"] - 1).max() <= 1e-3 and record["base_color_texture"] < 0)
+    return bool(
+        record["shader"] == Shader.TRANSPARENT
+        and np.abs(record["base_color"] - 1).max() <= 1e-3
+        and record["base_color_texture"] < 0
+    )
 
 
 def both_textured(emitter: Records, tree: Tree) -> bool:

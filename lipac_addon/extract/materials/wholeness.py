@@ -7,9 +7,19 @@ from typing import Any
 # Light inside the surface, which needs it closed; and what is near, of the same mesh
 NODES = frozenset(
     f"ShaderNode{kind}"
-    for kind in ("SubsurfaceScattering", "VolumeAbsorption", "VolumeScatter", "VolumePrincipled", "VolumeCoefficients", "AmbientOcclusion", "Bevel", "Raycast")
+    for kind in (
+        "SubsurfaceScattering",
+        "VolumeAbsorption",
+        "VolumeScatter",
+        "VolumePrincipled",
+        "VolumeCoefficients",
+        "AmbientOcclusion",
+        "Bevel",
+        "Raycast",
+    )
 )
-OUTPUTS = ("Pointiness", "Random Per Island")  # of the Geometry node: made from neighbours, and from what hangs together
+# of the Geometry node: made from neighbours, and from what hangs together
+OUTPUTS = ("Pointiness", "Random Per Island")
 
 
 def needs_whole_mesh(material: Any) -> bool:

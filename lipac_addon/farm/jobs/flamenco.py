@@ -13,7 +13,8 @@ JOB_TYPE = Path(__file__).with_name("lipac_shot.js")
 
 
 def write(shot: FarmShot, chunk: int, programs: Programs) -> str:
-    """Write the job type's script and a job into the shot's folder; returns what is to be done with them. chunk: frames to a task."""
+    """Write the job type's script and a job into the shot's folder; returns what is to be done with them. chunk: frames
+    to a task."""
     script = shot.folder / JOB_TYPE.name
     with replacing(script) as part:
         shutil.copyfile(JOB_TYPE, part)
@@ -23,7 +24,8 @@ def write(shot: FarmShot, chunk: int, programs: Programs) -> str:
         **{"shot_folder": str(shot.folder), "blendfile": str(shot.scene), "lipac": programs.lipac[0]},
         "options": options_of(shot),
     }
-    name, kind = f"{shot.scene.stem} {shot.first}-{shot.last}", JOB_TYPE.stem.replace("_", "-")  # as the manager names types
+    # as the manager names types
+    name, kind = f"{shot.scene.stem} {shot.first}-{shot.last}", JOB_TYPE.stem.replace("_", "-")
     job = {"name": name, "type": kind, "priority": 50, "submitter_platform": "manager", "settings": settings}
     write_json(shot.folder / "flamenco_job.json", job)
     return (
@@ -34,6 +36,11 @@ def write(shot: FarmShot, chunk: int, programs: Programs) -> str:
 
 def options_of(shot: FarmShot) -> str:
     """What `lipac farm` is to be given so that it writes this shot again."""
-    given = {"max-error": f"{shot.mean},{shot.worst}", "paths": shot.paths or None, "seed": shot.seed, "samples": shot.samples}
+    given = {
+        "max-error": f"{shot.mean},{shot.worst}",
+        "paths": shot.paths or None,
+        "seed": shot.seed,
+        "samples": shot.samples,
+    }
     given["resolution"] = "{}x{}".format(*shot.resolution) if shot.resolution else None
     return " ".join(f"--{name} {value}" for name, value in given.items() if value is not None)

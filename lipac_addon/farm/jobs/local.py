@@ -1,6 +1,7 @@
 """A shot on this machine: its steps one after the other, the tasks of each by so many processes at a time.
 
-Steps wait for all of those before, so a pool of threads that wait for processes (`concurrent.futures`) is all that it takes.
+Steps wait for all of those before, so a pool of threads that wait for processes (`concurrent.futures`) is all that it
+takes.
 """
 
 from __future__ import annotations
@@ -26,9 +27,15 @@ def processes() -> int:
 
 
 def run_here(
-    shot: FarmShot, steps: Sequence[Step], programs: Programs, workers: int, progress: Progress = silent, cancelled: Cancel = never
+    shot: FarmShot,
+    steps: Sequence[Step],
+    programs: Programs,
+    workers: int,
+    progress: Progress = silent,
+    cancelled: Cancel = never,
 ) -> tuple[int, str]:
-    """Do all steps; the exit status of the last one, and what it printed. Raises InputError where a task fails, which ends the others; Cancelled.
+    """Do all steps; the exit status of the last one, and what it printed. Raises InputError where a task fails, which
+    ends the others; Cancelled.
 
     What is done stays, so the same call goes on where one ended.
     """

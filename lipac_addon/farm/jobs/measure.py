@@ -1,4 +1,5 @@
-"""What steps take, measured on one frame before the job is written: the analysis is kept, and counts; of the full scene a part of the picture is rendered."""
+"""What steps take, measured on one frame before the job is written: the analysis is kept, and counts; of the full scene
+a part of the picture is rendered."""
 
 from __future__ import annotations
 
@@ -15,8 +16,11 @@ from ..children import crops_of, run
 from ..layout import FarmShot, read_json, write_json
 
 
-def measure(shot: FarmShot, lipac: Sequence[str], blender: str = "", progress: Progress = silent, cancelled: Cancel = never) -> dict[str, Any]:
-    """Seconds of a frame and peak memory of its process, `analysis` and `full`, in bytes; kept as measured.json. lipac: as of `children.lipac_program`.
+def measure(
+    shot: FarmShot, lipac: Sequence[str], blender: str = "", progress: Progress = silent, cancelled: Cancel = never
+) -> dict[str, Any]:
+    """Seconds of a frame and peak memory of its process, `analysis` and `full`, in bytes; kept as measured.json. lipac:
+    as of `children.lipac_program`.
 
     Raises InputError where the frame cannot be analysed or rendered, Cancelled.
     """

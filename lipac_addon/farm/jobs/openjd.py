@@ -1,4 +1,5 @@
-"""A shot as a job template of Open Job Description, 2023-09 (github.com/OpenJobDescription/openjd-specifications, Template Schemas), with task chunks."""
+"""A shot as a job template of Open Job Description, 2023-09 (github.com/OpenJobDescription/openjd-specifications,
+Template Schemas), with task chunks."""
 
 from __future__ import annotations
 
@@ -18,10 +19,22 @@ def template(name: str, steps: list[Step]) -> dict[str, Any]:
     chunk = next(step.chunk for step in steps if step.of == FRAMES)
     folder = "Where all of the shot is, on a folder that all machines share"
     parameters = [
-        {"name": "Folder", "type": "PATH", "objectType": "DIRECTORY", "dataFlow": "INOUT", "default": ".", "description": folder},
+        {
+            "name": "Folder",
+            "type": "PATH",
+            "objectType": "DIRECTORY",
+            "dataFlow": "INOUT",
+            "default": ".",
+            "description": folder,
+        },
         {"name": "Scene", "type": "PATH", "objectType": "FILE", "dataFlow": "IN", "description": "The scene"},
         {"name": "LiPaC", "type": "STRING", "default": "lipac", "description": "The lipac command"},
-        {"name": "Blender", "type": "STRING", "default": "blender", "description": "The Blender that renders; it need not have LiPaC"},
+        {
+            "name": "Blender",
+            "type": "STRING",
+            "default": "blender",
+            "description": "The Blender that renders; it need not have LiPaC",
+        },
         {"name": "ChunkSize", "type": "INT", "minValue": 1, "default": chunk, "description": "Frames to a task"},
     ]
     return {
@@ -34,15 +47,24 @@ def template(name: str, steps: list[Step]) -> dict[str, Any]:
 
 
 def write(shot: FarmShot, steps: list[Step], programs: Programs) -> str:
-    """Write the template, and its parameters' values on this machine, into the shot's folder: for `openjd run` and as Deadline Cloud's job bundles have them.
+    """Write the template, and its parameters' values on this machine, into the shot's folder: for `openjd run` and as
+    Deadline Cloud's job bundles have them.
 
     Returns how it is run.
     """
-    values = {"Folder": str(shot.folder), "Scene": str(shot.scene), "LiPaC": programs.lipac[0], "Blender": programs.blender[0]}
+    values = {
+        "Folder": str(shot.folder),
+        "Scene": str(shot.scene),
+        "LiPaC": programs.lipac[0],
+        "Blender": programs.blender[0],
+    }
     path, given = shot.folder / TEMPLATE, shot.folder / "parameters.json"
     write_json(path, template(f"{shot.scene.stem} {shot.first}-{shot.last}", steps))
     write_json(given, values)
-    write_json(shot.folder / "parameter_values.json", {"parameterValues": [{"name": name, "value": value} for name, value in values.items()]})
+    write_json(
+        shot.folder / "parameter_values.json",
+        {"parameterValues": [{"name": name, "value": value} for name, value in values.items()]},
+    )
     return f"openjd run {path} -p file://{given} --step {steps[-1].name} --run-dependencies"
 
 
@@ -68,4 +90,9 @@ def _items(step: Step) -> dict[str, Any]:
     whole = f"{step.items[0]}-{step.items[-1]}" if len(step.items) > 1 else f"{step.items[0]}"
     if step.of != FRAMES:
         return {"name": step.of, "type": "INT", "range": whole}
-    return {"name": step.of, "type": "CHUNK[INT]", "range": whole, "chunks": {"defaultTaskCount": "{{Param.ChunkSize}}", "rangeConstraint": "CONTIGUOUS"}}
+    return {
+        "name": step.of,
+        "type": "CHUNK[INT]",
+        "range": whole,
+        "chunks": {"defaultTaskCount": "{{Param.ChunkSize}}", "rangeConstraint": "CONTIGUOUS"},
+    }

@@ -1,4 +1,5 @@
-"""What a farm elsewhere must be sent: a .blend and the files that it needs, found and packed by Blender Asset Tracer (which knows Blender 5.1 and later)."""
+"""What a farm elsewhere must be sent: a .blend and the files that it needs, found and packed by Blender Asset Tracer
+(which knows Blender 5.1 and later)."""
 
 from __future__ import annotations
 
@@ -17,9 +18,11 @@ _INSTALL = "packing takes Blender 5.1 and Blender Asset Tracer: pip install 'ble
 
 
 def pack(shot: FarmShot, blender: str = "") -> dict[str, Any]:
-    """Copy shot.blend and what it needs to `packed`; files and bytes of the scene before (`full`) and of that (`culled`), with those that are missing.
+    """Copy shot.blend and what it needs to `packed`; files and bytes of the scene before (`full`) and of that
+    (`culled`), with those that are missing.
 
-    blender: a Blender that rewrites paths where files of other places are needed; this one, where it is one. Raises InputError.
+    blender: a Blender that rewrites paths where files of other places are needed; this one, where it is one. Raises
+    InputError.
     """
     if read_json(shot.united, key=shot.key) is None:
         raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
@@ -33,7 +36,10 @@ def pack(shot: FarmShot, blender: str = "") -> dict[str, Any]:
     with muted():
         found = _dependencies(shot.culled, culled)
         if any(info.needs_path_rewriting for info in found.file_infoes.values()) and not bpy.app.binary_path:
-            raise InputError("some files are named by absolute paths, and only a Blender rewrites these: name one by --blender, or make paths relative")
+            raise InputError(
+                "some files are named by absolute paths, and only a Blender rewrites these: name one by --blender, or "
+                "make paths relative"
+            )
         if failed := perform_path_rewriting(found):
             path, why = next(iter(failed.items()))
             raise InputError(f"{path} cannot be packed: {why}")
@@ -60,4 +66,8 @@ def _dependencies(blend: Path, files: list[Path]) -> Any:
 
 def _sizes(files: list[Path]) -> dict[str, Any]:
     there = [path for path in files if path.is_file()]
-    return {"files": len(there), "bytes": sum(path.stat().st_size for path in there), "missing": [str(path) for path in files if not path.exists()]}
+    return {
+        "files": len(there),
+        "bytes": sum(path.stat().st_size for path in there),
+        "missing": [str(path) for path in files if not path.exists()],
+    }

@@ -34,15 +34,21 @@ class Wanted:
 
 
 def write_shot(folder: Path, scene: Path, wanted: Wanted) -> FarmShot:
-    """Write what is asked of the open file, which lies at `scene`, into a folder. Raises InputError where that cannot be a shot."""
+    """Write what is asked of the open file, which lies at `scene`, into a folder. Raises InputError where that cannot
+    be a shot."""
     output_folder(folder)
     if scene.resolve().parent == folder.resolve() and scene.name == "shot.blend":
         raise InputError(f"{scene} is what a shot is saved as: choose another folder with -o")
     if all_marks():
-        raise InputError("LiPaC's culling is applied in the file: restore first, for frames are rendered in full, too, to compare")
+        raise InputError(
+            "LiPaC's culling is applied in the file: restore first, for frames are rendered in full, too, to compare"
+        )
     opened = bpy.context.scene
     if not wanted.frames and opened.frame_step != 1:
-        raise InputError(f"scene '{opened.name}' renders one frame in {opened.frame_step}: give frames without gaps, or set its step to 1")
+        raise InputError(
+            f"scene '{opened.name}' renders one frame in {opened.frame_step}: give frames without gaps, or set its "
+            "step to 1"
+        )
     frames = wanted.frames or tuple(range(opened.frame_start, opened.frame_end + 1))
     checks = min(len(frames), wanted.checks or max(2, -(-len(frames) // FRAMES_TO_A_CHECK)))
     shot = FarmShot(

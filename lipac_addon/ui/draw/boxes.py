@@ -1,4 +1,5 @@
-"""Boxes to draw, as plain arrays: which there are, in what colour, and how they are laid out in a texture. No graphics here."""
+"""Boxes to draw, as plain arrays: which there are, in what colour, and how they are laid out in a texture. No graphics
+here."""
 
 from __future__ import annotations
 
@@ -15,12 +16,18 @@ from ..state import results
 
 # Okabe and Ito's colours, and white, told apart by colour-blind people: sRGB.
 KINDS = ("active", "pending", "regions", "culled")
-COLORS = {"active": (0.90, 0.60, 0.00), "pending": (1.0, 1.0, 1.0), "regions": (0.00, 0.45, 0.70), "culled": (0.00, 0.62, 0.45)}
+COLORS = {
+    "active": (0.90, 0.60, 0.00),
+    "pending": (1.0, 1.0, 1.0),
+    "regions": (0.00, 0.45, 0.70),
+    "culled": (0.00, 0.62, 0.45),
+}
 GREY = (0.85, 0.85, 0.85)  # regions beside the heat map, whose colours have blue and green
-# Heat of instances, from none to most: viridis (van der Walt and Smith, 2015), brighter throughout, also to the colour-blind. sRGB, at equal steps.
+# Heat of instances, from none to most: viridis (van der Walt and Smith, 2015), brighter throughout, also to the
+# colour-blind. sRGB, at equal steps.
 HEAT = np.array(
-    [(0.267, 0.005, 0.329), (0.275, 0.194, 0.496), (0.212, 0.359, 0.552), (0.153, 0.497, 0.558), (0.122, 0.633, 0.531), (0.290, 0.759, 0.428),
-     (0.622, 0.854, 0.226), (0.993, 0.906, 0.144)]
+    [(0.267, 0.005, 0.329), (0.275, 0.194, 0.496), (0.212, 0.359, 0.552), (0.153, 0.497, 0.558),
+     (0.122, 0.633, 0.531), (0.290, 0.759, 0.428), (0.622, 0.854, 0.226), (0.993, 0.906, 0.144)]
 )  # fmt: skip
 ROW = 2048  # boxes in a row of the texture; a box is two texels, its low and its high corner
 
@@ -36,8 +43,9 @@ def color_of(kind: str, heat_map: bool = False) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Boxes:
-    """texels: (rows, 2 ROW, 4) float32, corners relative to `origin` (3,) float64, in the first one's last channel its heat, 0 to 1 by the logarithm of the
-    paths that met it, -1 for regions; ranges: first box and number of boxes of each of KINDS; hottest: the most paths that met an instance.
+    """texels: (rows, 2 ROW, 4) float32, corners relative to `origin` (3,) float64, in the first one's last channel its
+    heat, 0 to 1 by the logarithm of the paths that met it, -1 for regions; ranges: first box and number of boxes of
+    each of KINDS; hottest: the most paths that met an instance.
     """
 
     texels: F32
@@ -68,4 +76,6 @@ def boxes_of(result: FrameResult) -> Boxes:
             part[:, :, :3], part[:, 0, 3] = result.bounds[rows[kind]], heat[rows[kind]]
         else:
             part[:, :, :3], part[:, 0, 3] = result.regions, -1.0
-    return Boxes(texels.reshape(height, 2 * ROW, 4), result.origin, tuple(zip(firsts.tolist(), counts, strict=True)), hottest)
+    return Boxes(
+        texels.reshape(height, 2 * ROW, 4), result.origin, tuple(zip(firsts.tolist(), counts, strict=True)), hottest
+    )

@@ -38,7 +38,11 @@ def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
         ("Hitboxes", f"{int(stats['hitboxes']):,}"),
         ("Memory of the active", size(stats["blas_bytes"] + stats["tlas_bytes"])),
     ]
-    for name, label in (("predicted", "Change, predicted"), ("certified", "Change, at most"), ("unknown", "Light not known")):
+    for name, label in (
+        ("predicted", "Change, predicted"),
+        ("certified", "Change, at most"),
+        ("unknown", "Light not known"),
+    ):
         if name + "_mean" in stats:
             rows.append((label, f"{100 * stats[name + '_mean']:.2f} %, worst {100 * stats[name + '_worst']:.2f} %"))
     return rows
@@ -59,7 +63,13 @@ def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tu
     reason = result.reason(ob)
     if not reason.instances:
         return []
-    what = "kept" if reason.kept == reason.instances else "culled" if not reason.kept else f"{reason.kept:,} of {reason.instances:,} kept"
+    what = (
+        "kept"
+        if reason.kept == reason.instances
+        else "culled"
+        if not reason.kept
+        else f"{reason.kept:,} of {reason.instances:,} kept"
+    )
     rows = [("This frame", what)]
     if not result.stats["paths"]:
         return rows
@@ -74,7 +84,9 @@ def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tu
     rows.append(("Because", why))
     if reason.kept < reason.instances and ob.lipac_role == props.PIN:
         rows.append(("In renders", "pinned since: kept"))
-    rows += [(f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n]
+    rows += [
+        (f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n
+    ]
     if reason.worth > 0:
         rows.append(("Worth at most", f"{100 * reason.worth:.3g} % of the picture"))
     return rows

@@ -1,6 +1,7 @@
 """The overlay: boxes of the analysed instances in the 3D viewport, with a legend.
 
-One shader, one batch of a cube's twelve edges, one texture with all boxes, made anew only for another result: a draw call for each kind that is shown.
+One shader, one batch of a cube's twelve edges, one texture with all boxes, made anew only for another result: a draw
+call for each kind that is shown.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ void main()
   float steps = float(textureSize(colors, 0).x - 1);
   float at = heat * steps;
   int below = int(at);
-  vec3 hot = mix(texelFetch(colors, ivec2(below, 0), 0).rgb, texelFetch(colors, ivec2(min(below + 1, int(steps)), 0), 0).rgb, at - float(below));
+  vec3 cool = texelFetch(colors, ivec2(below, 0), 0).rgb;
+  vec3 warm = texelFetch(colors, ivec2(min(below + 1, int(steps)), 0), 0).rgb;
+  vec3 hot = mix(cool, warm, at - float(below));
   result = vec4(use_heat == 1 && heat >= 0.0 ? hot : color.rgb, color.a);
 }
 """
@@ -88,7 +91,9 @@ def upload(result: FrameResult) -> _Drawn:
         for linear in (False, True):
             colors = np.ones((len(HEAT), 4), np.float32)
             colors[:, :3] = [[_to_linear(x) for x in color] for color in HEAT] if linear else HEAT
-            _heat[linear] = gpu.types.GPUTexture((len(HEAT), 1), format="RGBA32F", data=gpu.types.Buffer("FLOAT", colors.size, colors.ravel()))
+            _heat[linear] = gpu.types.GPUTexture(
+                (len(HEAT), 1), format="RGBA32F", data=gpu.types.Buffer("FLOAT", colors.size, colors.ravel())
+            )
     if _drawn is None or _drawn.result is not result:
         boxes = boxes_of(result)
         rows, columns, _ = boxes.texels.shape
@@ -121,16 +126,23 @@ def forget() -> None:
 
 
 def draw_boxes(
-    result: FrameResult, kinds: tuple[str, ...], opacity: float, view_projection: Any, in_front: bool = False, encodes: bool = False, heat_map: bool = False
+    result: FrameResult,
+    kinds: tuple[str, ...],
+    opacity: float,
+    view_projection: Any,
+    in_front: bool = False,
+    encodes: bool = False,
+    heat_map: bool = False,
 ) -> int:
     """Draw boxes into the active framebuffer; returns the number of draw calls.
 
-    view_projection: (4, 4), of the world. in_front: also what geometry hides. encodes: the framebuffer turns linear colours into sRGB, as a viewport's does.
-    heat_map: instances in the colours of HEAT.
+    view_projection: (4, 4), of the world. in_front: also what geometry hides. encodes: the framebuffer turns linear
+    colours into sRGB, as a viewport's does. heat_map: instances in the colours of HEAT.
     """
     drawn = upload(result)
     matrix = np.array(view_projection, np.float64)
-    matrix[:, 3] += matrix[:, :3] @ drawn.boxes.origin  # in double precision: far from the world's origin single is not enough
+    # in double precision: far from the world's origin single is not enough
+    matrix[:, 3] += matrix[:, :3] @ drawn.boxes.origin
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("NONE" if in_front else "LESS_EQUAL")
     gpu.state.depth_mask_set(False)
@@ -173,7 +185,9 @@ def draw_legend(result: FrameResult, kinds: tuple[str, ...], scale: float = 1.0,
     """Draw the legend into the lower left corner of the active framebuffer, in pixels."""
     x, y, side = _MARGIN * scale, _MARGIN * scale, _SWATCH * scale
     lines = [(kind, text) for kind, text in legend_of(result, kinds) if not heat_map or kind == "regions"]
-    rows: list[tuple[float, Any, str]] = [(side, [color_of(kind, heat_map)] * 2, text) for kind, text in reversed(lines)]
+    rows: list[tuple[float, Any, str]] = [
+        (side, [color_of(kind, heat_map)] * 2, text) for kind, text in reversed(lines)
+    ]
     if heat_map:
         rows.append((_RAMP * scale, HEAT, f"light paths that meet an instance: 0 to {upload(result).boxes.hottest:,}"))
     blf.size(0, _TEXT * scale)
@@ -200,7 +214,9 @@ def _bar(x: float, y: float, width: float, height: float, colors: Any, opacity: 
 
 def _wanted(context: bpy.types.Context) -> FrameResult | None:
     """What to draw in a viewport: nothing where its own switch of all overlays is off."""
-    return source(context.scene) if context.scene.lipac.show_overlay and context.space_data.overlay.show_overlays else None
+    return (
+        source(context.scene) if context.scene.lipac.show_overlay and context.space_data.overlay.show_overlays else None
+    )
 
 
 def _draw_view() -> None:
@@ -208,7 +224,15 @@ def _draw_view() -> None:
     result, settings = _wanted(context), context.scene.lipac
     if result is not None:
         matrix = context.region_data.perspective_matrix
-        draw_boxes(result, shown(settings), settings.opacity, matrix, settings.in_front, encodes=True, heat_map=settings.heat_map)
+        draw_boxes(
+            result,
+            shown(settings),
+            settings.opacity,
+            matrix,
+            settings.in_front,
+            encodes=True,
+            heat_map=settings.heat_map,
+        )
 
 
 def _draw_pixels() -> None:

@@ -1,4 +1,5 @@
-"""An analysis beside Blender: it reads the file on the main thread, frame by frame, and computes in a thread (`background`)."""
+"""An analysis beside Blender: it reads the file on the main thread, frame by frame, and computes in a thread
+(`background`)."""
 
 from __future__ import annotations
 
@@ -39,8 +40,9 @@ def obstacle(scene: bpy.types.Scene) -> str:
 class AnalysisJob(Job):
     """The analysis of some frames of a scene.
 
-    results: by frame, in the end; was_applied: something was hidden before, by this scene's result or whatever, so that all had to be shown: what the scene had
-    applied is applied anew, but where nothing is known of its frame, and what others had is not: lost.
+    results: by frame, in the end; was_applied: something was hidden before, by this scene's result or whatever, so that
+    all had to be shown: what the scene had applied is applied anew, but where nothing is known of its frame, and what
+    others had is not: lost.
     baked: instances that some frame needs, and of all.
     """
 
@@ -48,7 +50,8 @@ class AnalysisJob(Job):
     FAILED = "the analysis failed; see the console"
 
     def __init__(self, scene: bpy.types.Scene, frames: Sequence[int] | None = None, bake: bool = False) -> None:
-        """frames: None takes those that the scene's settings ask for. bake: apply one set for all of them. Raises InputError where there is an obstacle."""
+        """frames: None takes those that the scene's settings ask for. bake: apply one set for all of them. Raises
+        InputError where there is an obstacle."""
         super().__init__(scene, "starting")
         if obstacle(scene):
             raise InputError(obstacle(scene))
@@ -58,7 +61,9 @@ class AnalysisJob(Job):
         self._bake, self._applied = bake, False
         self._before: applying.Applied | None = None
         self._set_frame = scene.frame_current
-        self._extractor: Extractor | None = None  # these two go from frame to frame: what did not change is not analysed again
+        self._extractor: Extractor | None = (
+            None  # these two go from frame to frame: what did not change is not analysed again
+        )
         self._shot: Shot | None = None
         self._frames = tuple(frames) if frames is not None else props.asked_frames(scene)
         self._range = props.frame_range(scene)
@@ -70,7 +75,11 @@ class AnalysisJob(Job):
         yield from self._no_render()
         self._check()
         scene = self._scene()
-        frame, self._applied, self._before = (scene.frame_current, scene.frame_subframe), scene.lipac.applied, applying.what_is_applied()
+        frame, self._applied, self._before = (
+            (scene.frame_current, scene.frame_subframe),
+            scene.lipac.applied,
+            applying.what_is_applied(),
+        )
         self.was_applied = applying.restore()
         try:
             self.results = yield from self._analyse_all()
@@ -84,7 +93,8 @@ class AnalysisJob(Job):
         self.progress, self.message = 1.0, "done"
 
     def _finish(self, frame: tuple[int, float]) -> None:
-        """Keep the results, go back to the frame that was current, if the user has not gone to another, and cull renders again where they were before.
+        """Keep the results, go back to the frame that was current, if the user has not gone to another, and cull
+        renders again where they were before.
 
         frame: with its subframe.
         """
@@ -144,7 +154,9 @@ class AnalysisJob(Job):
         pinned = props.pinned(extraction.keys, uids)
         if needed:
             pinned = any_of(extraction.keys.records, needed) | (False if pinned is None else pinned)
-        hosts = [uid for name, uid in zip(extraction.keys.names, uids.tolist(), strict=True) if name in extraction.scatters]
+        hosts = [
+            uid for name, uid in zip(extraction.keys.names, uids.tolist(), strict=True) if name in extraction.scatters
+        ]
         prints = scatters.prints_of(scene, hosts)
         meshes = AskedMeshes(extraction.scene.meshes)
 
@@ -152,7 +164,9 @@ class AnalysisJob(Job):
             self.progress, self.message = (k + fraction) / n, name + what
 
         asked = replace(extraction.scene, meshes=meshes)
-        result = yield from in_thread(lambda: shot.advance(asked, extraction.change, report, lambda: self.cancelled, pinned), self.cancel, meshes)
+        result = yield from in_thread(
+            lambda: shot.advance(asked, extraction.change, report, lambda: self.cancelled, pinned), self.cancel, meshes
+        )
         self._check()
         return replace(results.FrameResult.of(number, extraction, uids, result, pinned), prints=prints)
 

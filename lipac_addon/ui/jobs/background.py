@@ -1,7 +1,8 @@
 """Work beside Blender: a thread computes, and the main thread loads for it what only it may read.
 
-Blender's Python may be used on the main thread alone, while an analysis loads meshes when light paths ask for them. So the thread gets `AskedMeshes`, which
-hand each request to the main thread and wait, and `in_thread` serves them, a little at each step.
+Blender's Python may be used on the main thread alone, while an analysis loads meshes when light paths ask for them. So
+the thread gets `AskedMeshes`, which hand each request to the main thread and wait, and `in_thread` serves them, a
+little at each step.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ class AskedMeshes(Sequence["Mesh"]):
         return mesh
 
     def serve(self, seconds: float) -> None:
-        """Load what is asked for, and what is asked for next, for about so long; called by the main thread. Returns at once where nothing is."""
+        """Load what is asked for, and what is asked for next, for about so long; called by the main thread. Returns at
+        once where nothing is."""
         end, wait = time.monotonic() + seconds, 0.0
         while (left := end - time.monotonic()) > 0:
             try:
@@ -63,8 +65,11 @@ class AskedMeshes(Sequence["Mesh"]):
         self._closed = True
 
 
-def in_thread(work: Callable[[], T], cancel: Callable[[], None], meshes: AskedMeshes | None = None, budget: float = BUDGET) -> Generator[None, None, T]:
-    """A generator that has a thread do the work, serves its meshes meanwhile for up to budget seconds a step, and returns or raises what it returned or raised.
+def in_thread(
+    work: Callable[[], T], cancel: Callable[[], None], meshes: AskedMeshes | None = None, budget: float = BUDGET
+) -> Generator[None, None, T]:
+    """A generator that has a thread do the work, serves its meshes meanwhile for up to budget seconds a step, and
+    returns or raises what it returned or raised.
 
     When the generator is closed, cancel() is called, and it waits until the thread has ended.
     """

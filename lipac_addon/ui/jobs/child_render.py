@@ -1,4 +1,5 @@
-"""Renders a frame of a .blend in a Blender of its own, and prints what that took: `blender -b -P child_render.py -- FILE SCENE FRAME OUT.exr`.
+"""Renders a frame of a .blend in a Blender of its own, and prints what that took: `blender -b -P child_render.py --
+FILE SCENE FRAME OUT.exr`.
 
 A script, not a module: the Blender that runs it need not have the add-on.
 """

@@ -1,6 +1,8 @@
-"""What culling a frame saves and changes, measured: two renders of it, each by a Blender of its own, so that time and memory are those of one render alone.
+"""What culling a frame saves and changes, measured: two renders of it, each by a Blender of its own, so that time and
+memory are those of one render alone.
 
-The window stays usable meanwhile, and the file as it is: the two Blenders render copies, one of which has the culling applied.
+The window stays usable meanwhile, and the file as it is: the two Blenders render copies, one of which has the culling
+applied.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ _FULL, _CULLED = "full", "culled"
 
 
 class DifferenceJob(Job):
-    """Measures the difference that the result of a scene's current frame makes. difference: what was found, in the end."""
+    """Measures the difference that the result of a scene's current frame makes. difference: what was found, in the
+    end."""
 
     CANCELLED = "the renders were cancelled"
     FAILED = "measuring failed; see the console"
@@ -65,7 +68,12 @@ class DifferenceJob(Job):
         program = [sys.executable] if bpy.app.module else [bpy.app.binary_path, "-b", "--python-exit-code", "1", "-P"]
         arguments = [str(folder / f"{what}.blend"), scene, str(self._result.frame), str(folder / f"{what}.exr")]
         with (folder / f"{what}.log").open("w+", encoding="utf-8", errors="replace") as log:
-            child = subprocess.Popen([*program, str(_CHILD), "--", *arguments], stdout=log, stderr=subprocess.STDOUT, creationflags=_NO_WINDOW)
+            child = subprocess.Popen(
+                [*program, str(_CHILD), "--", *arguments],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                creationflags=_NO_WINDOW,
+            )
             try:
                 while child.poll() is None:
                     self._check()

@@ -1,4 +1,5 @@
-"""The engine and the native libraries that the extension brings: are they there? Loaded on another thread, for it takes seconds."""
+"""The engine and the native libraries that the extension brings: are they there? Loaded on another thread, for it takes
+seconds."""
 
 from __future__ import annotations
 

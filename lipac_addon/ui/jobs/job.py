@@ -15,10 +15,11 @@ LOOK = 0.5  # seconds between looks at how many kernels are compiled
 
 
 class Job:
-    """Work for a scene that takes long: `_work` does it in small steps on the main thread, and waits for threads and other processes in between.
+    """Work for a scene that takes long: `_work` does it in small steps on the main thread, and waits for threads and
+    other processes in between.
 
-    progress: 0 to 1; message: what is being done; error: why it ended without a result, "" where it did not; done: it has ended; cancelled: it was asked to.
-    compiled: kernels that were compiled meanwhile, which takes a minute, once.
+    progress: 0 to 1; message: what is being done; error: why it ended without a result, "" where it did not; done: it
+    has ended; cancelled: it was asked to. compiled: kernels that were compiled meanwhile, which takes a minute, once.
     """
 
     CANCELLED: ClassVar[str]

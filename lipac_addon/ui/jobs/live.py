@@ -1,11 +1,12 @@
 """Live mode: the loop runs beside the user's work and playback, and the overlay follows.
 
-Blender's handlers only note what changed. A timer ticks: it reads what was noted from the viewport's dependency graph, as a `Change`, and hands it to a thread,
-which does one round of the loop (`Shot`); a later tick takes the states. A tick does one of these things. So live mode shows what the viewport has:
-its subdivision levels, its particles, less what is hidden from renders.
+Blender's handlers only note what changed. A timer ticks: it reads what was noted from the viewport's dependency graph,
+as a `Change`, and hands it to a thread, which does one round of the loop (`Shot`); a later tick takes the states. A
+tick does one of these things. So live mode shows what the viewport has: its subdivision levels, its particles, less
+what is hidden from renders.
 
-Instances are kept by counts, as the method's real-time loop does, and BLASes are built on another thread within a budget: until they are there, instances are
-pending. The error budget is for Analyze.
+Instances are kept by counts, as the method's real-time loop does, and BLASes are built on another thread within a
+budget: until they are there, instances are pending. The error budget is for Analyze.
 """
 
 from __future__ import annotations
@@ -39,14 +40,16 @@ SERVE = 0.004  # seconds of a tick to load meshes that the thread asks for
 SHARE = 1e-4  # of the paths that must meet an instance
 BUILD_MS = 20.0  # of BLAS building to start in a round
 REST = 2  # rounds in a row that change nothing, after which there is nothing to do
-DUTY = 8  # times as long as it took to read the scene that nothing is read again: a scene that is slow to read leaves Blender most of its time
+# times as long as it took to read the scene that nothing is read again: a scene that is slow to read leaves Blender
+# most of its time
+DUTY = 8
 
 
 class Live:
     """Live mode over one view layer of a scene.
 
-    message: what it does; error: why it cannot go on before something changes, "" where it can; rounds: done so far; closed: it has ended; read_s: seconds of
-    the main thread that the scene took to read, the last time.
+    message: what it does; error: why it cannot go on before something changes, "" where it can; rounds: done so far;
+    closed: it has ended; read_s: seconds of the main thread that the scene took to read, the last time.
     """
 
     def __init__(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
@@ -72,7 +75,11 @@ class Live:
 
     def note(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Take down what changed in a graph, if it is ours; called by Blender's handlers."""
-        if depsgraph.mode != "VIEWPORT" or depsgraph.view_layer.name != self.layer or depsgraph.scene.session_uid != self.uid:
+        if (
+            depsgraph.mode != "VIEWPORT"
+            or depsgraph.view_layer.name != self.layer
+            or depsgraph.scene.session_uid != self.uid
+        ):
             return
         for update in depsgraph.updates:
             address = update.id.as_pointer()
@@ -148,12 +155,18 @@ class Live:
         meshes = AskedMeshes(frame.extraction.scene.meshes)
         asked, change = replace(frame.extraction.scene, meshes=meshes), frame.change
         frame.change = _still()
-        result = yield from in_thread(lambda: shot.advance(asked, change, cancelled=lambda: self.closed, pinned=frame.pinned), lambda: None, meshes, SERVE)
+        result = yield from in_thread(
+            lambda: shot.advance(asked, change, cancelled=lambda: self.closed, pinned=frame.pinned),
+            lambda: None,
+            meshes,
+            SERVE,
+        )
         yield
         self._show(frame, result)
 
     def _read(self, scene: bpy.types.Scene) -> Iterator[None]:
-        """Read the viewport's graph in one tick, find out what changed in another. Raises InputError where there is nothing to trace."""
+        """Read the viewport's graph in one tick, find out what changed in another. Raises InputError where there is
+        nothing to trace."""
         from ...extract.scene import SceneReader
 
         if applying.marks():
@@ -213,7 +226,8 @@ def _still() -> Change:
 
 
 def live_options(settings: props.LipacSettings) -> CullOptions:
-    """The options of the scene's settings for a loop in real time: few paths and one round at a time, whose requests the next one meets."""
+    """The options of the scene's settings for a loop in real time: few paths and one round at a time, whose requests
+    the next one meets."""
     options = props.cull_options(settings)
     if options.policy != LIGHT_PATHS:
         return options
@@ -263,7 +277,8 @@ def suspend() -> None:
 
 
 def tick() -> float:
-    """Called by Blender's timer; returns the seconds until the next call. After an error of ours Blender calls no more: live mode is off."""
+    """Called by Blender's timer; returns the seconds until the next call. After an error of ours Blender calls no more:
+    live mode is off."""
     global current, _on  # noqa: PLW0603
     window = next(iter(bpy.context.window_manager.windows), None)
     if window is not None and _on:

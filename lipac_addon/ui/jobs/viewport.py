@@ -1,4 +1,5 @@
-"""What live mode reads of the viewport: its dependency graph with all that was noted since, less what renders hide; and the world."""
+"""What live mode reads of the viewport: its dependency graph with all that was noted since, less what renders hide; and
+the world."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ class Listed:
 
 
 class NotedGraph:
-    """The viewport's dependency graph, with all that changed since it was last read (Blender keeps no more than the latest), and without what renders hide."""
+    """The viewport's dependency graph, with all that changed since it was last read (Blender keeps no more than the
+    latest), and without what renders hide."""
 
     def __init__(self, depsgraph: bpy.types.Depsgraph, noted: dict[int, bool]) -> None:
         """noted: by the address of a data-block, whether its geometry changed."""
@@ -67,11 +69,18 @@ class LiveWorld:
         self.world: ExtractedWorld | None = None
         self._fingerprint = ""
 
-    def read(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, graph: NotedGraph, goes_on: bool) -> tuple[ExtractedWorld, bool]:
-        """The world, and whether it was rendered, which gives the graph new data-blocks. goes_on: graph is the one that was read last."""
+    def read(
+        self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, graph: NotedGraph, goes_on: bool
+    ) -> tuple[ExtractedWorld, bool]:
+        """The world, and whether it was rendered, which gives the graph new data-blocks. goes_on: graph is the one that
+        was read last."""
         from ...extract.world import constant_world, extract_world, fingerprint
 
-        if self.world is not None and goes_on and not any(part in type(u.id).__name__ for u in graph.updates for part in _WORLDLY):
+        if (
+            self.world is not None
+            and goes_on
+            and not any(part in type(u.id).__name__ for u in graph.updates for part in _WORLDLY)
+        ):
             return self.world, False
         item = getattr(graph.view_layer_eval, "world_override", None) or graph.scene_eval.world
         found, mark = constant_world(item), ""

@@ -1,4 +1,5 @@
-"""Culling renders of the open file by a result, and taking that back; the scene's switches say for which frames it is so."""
+"""Culling renders of the open file by a result, and taking that back; the scene's switches say for which frames it is
+so."""
 
 from __future__ import annotations
 
@@ -30,21 +31,30 @@ class Applied:
 
 _last: Applied | None = None  # what `apply` did last, beside renders
 _held: Applied | None = None  # what comes back when the running render ends
-_marked: tuple[int, dict[int, list[str]]] | None = None  # words of marks by session uid, and how many objects there were
+_marked: tuple[int, dict[int, list[str]]] | None = (
+    None  # words of marks by session uid, and how many objects there were
+)
 
 
-def apply(scene: bpy.types.Scene, result: FrameResult, in_render: bool = False, frames: range | None = None) -> writeback.WritebackResult:
-    """Hide what a result culls from renders; pinned and ignored objects stay as they are, and scatters that are others than those that were analysed.
+def apply(
+    scene: bpy.types.Scene, result: FrameResult, in_render: bool = False, frames: range | None = None
+) -> writeback.WritebackResult:
+    """Hide what a result culls from renders; pinned and ignored objects stay as they are, and scatters that are others
+    than those that were analysed.
 
-    in_render: until the running render ends. frames: that it holds for, None: its own. Write-back speaks of the whole file, so this takes the place of what
-    another scene's result had hidden.
+    in_render: until the running render ends. frames: that it holds for, None: its own. Write-back speaks of the whole
+    file, so this takes the place of what another scene's result had hidden.
     """
     global notes, _last  # noqa: PLW0603
     restore(in_render)
     culled = result.culled & ~result.of_objects(props.marked(props.PIN) | props.marked(props.IGNORE))
     changed = culled & _of_changed(scene, result)
     keys = result.current_keys()
-    rows = {} if scene.render.use_motion_blur else {name: result.scatters[uid] for name, uid in _names(result, keys.names) if uid in result.scatters}
+    rows = (
+        {}
+        if scene.render.use_motion_blur
+        else {name: result.scatters[uid] for name, uid in _names(result, keys.names) if uid in result.scatters}
+    )
     applied = writeback.apply(culled & ~changed, keys, rows, scene=scene, lasting=not in_render, in_render=in_render)
     if changed.any():
         applied.kept[CHANGED] = int(changed.sum())
@@ -67,7 +77,8 @@ def forget() -> None:
 
 
 def restore(in_render: bool = False) -> bool:
-    """Show again all that was hidden, by whichever scene; True where there was something. in_render: a handler of a render calls."""
+    """Show again all that was hidden, by whichever scene; True where there was something. in_render: a handler of a
+    render calls."""
     recount()
     found = writeback.restore(in_render)
     for scene in bpy.data.scenes:
@@ -81,13 +92,14 @@ def restore(in_render: bool = False) -> bool:
 
 
 def cull_frame(scene: bpy.types.Scene) -> None:
-    """Before a frame is rendered: hide what its analysis culls, nothing where it was not analysed. What was applied stays for its frames; else it comes back
-    when the render has ended, where it is known, and is gone where it is not.
+    """Before a frame is rendered: hide what its analysis culls, nothing where it was not analysed. What was applied
+    stays for its frames; else it comes back when the render has ended, where it is known, and is gone where it is not.
     """
     global _held  # noqa: PLW0603
     owner, frame, multi_view = applied_scene(), scene.frame_current, scene.render.use_multiview
     if owner is not None:
-        if (owner == scene and frame in frames_of(scene) and not multi_view) or scenes_in_picture(scene):  # where removing the mask would crash Blender
+        # where removing the mask would crash Blender
+        if (owner == scene and frame in frames_of(scene) and not multi_view) or scenes_in_picture(scene):
             return
         _held = what_is_applied()
     result = None if multi_view else results.at(scene)
@@ -133,7 +145,9 @@ def frames_of(scene: bpy.types.Scene) -> range:
 def what_is_applied() -> Applied | None:
     """What is applied, where that is known: not of a file that was opened, nor after some steps of undo."""
     owner = applied_scene()
-    known = owner is not None and _last is not None and (_last.uid, _last.frames) == (owner.session_uid, frames_of(owner))
+    known = (
+        owner is not None and _last is not None and (_last.uid, _last.frames) == (owner.session_uid, frames_of(owner))
+    )
     return _last if known else None
 
 
@@ -170,13 +184,19 @@ def status(scene: bpy.types.Scene) -> tuple[str, bool]:
         return f"Hidden from renders, by another session or file: {what}. Restore shows all", True
     frames = frames_of(owner)
     when = f"frame {frames[0]}" if len(frames) == 1 else f"frames {frames[0]} to {frames[-1]}"
-    line = f"Hidden from renders: {owner.lipac.applied_count:,} instances, for {when}{'' if owner == scene else f' of scene {owner.name}'}"
+    line = (
+        f"Hidden from renders: {owner.lipac.applied_count:,} instances, for "
+        f"{when}{'' if owner == scene else f' of scene {owner.name}'}"
+    )
     if scene.render.use_multiview:
         return f"{line}. {MULTI_VIEW}", True
     if owner == scene and frame in frames:
         return line, False
     if own and not scenes_in_picture(scene):
-        return f"{line}. Frame {frame} renders {'in full' if results.at(scene) is None else 'by its own analysis'}", False
+        return (
+            f"{line}. Frame {frame} renders {'in full' if results.at(scene) is None else 'by its own analysis'}",
+            False,
+        )
     return f"{line}. What frame {frame} shows may be missing: Restore, or Bake Shot", True
 
 
@@ -185,7 +205,8 @@ def _names(result: FrameResult, names: tuple[str, ...]) -> list[tuple[str, int]]
 
 
 def _of_changed(scene: bpy.types.Scene, result: FrameResult) -> np.ndarray:
-    """(N,) bool: instances of scatters that have changed. Nothing is known of a frame that the viewport does not show."""
+    """(N,) bool: instances of scatters that have changed. Nothing is known of a frame that the viewport does not
+    show."""
     now = scatters.prints_of(scene, result.prints) if result.prints else {}
     changed = np.array([uid for uid, seen in now.items() if seen != result.prints[uid]], np.int64)
     host = result.keys.records["host"]

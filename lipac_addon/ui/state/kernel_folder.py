@@ -1,4 +1,5 @@
-"""The engine's compiled kernels on disk: how many, how large, removed. Loads nothing of the engine but where it keeps them, and that when asked."""
+"""The engine's compiled kernels on disk: how many, how large, removed. Loads nothing of the engine but where it keeps
+them, and that when asked."""
 
 from __future__ import annotations
 
@@ -8,7 +9,8 @@ from pathlib import Path
 
 
 def count() -> int:
-    """How many kernels of this version have been compiled and kept. Asked for again and again: it looks at one folder, not at those of other versions."""
+    """How many kernels of this version have been compiled and kept. Asked for again and again: it looks at one folder,
+    not at those of other versions."""
     folder = os.environ.get("NUMBA_CACHE_DIR")  # which the engine set
     return sum(1 for _ in Path(folder).glob("*/*.nbi")) if folder else 0
 

@@ -20,7 +20,8 @@ _given: str | None = None  # what the variable was before
 
 @dataclass(frozen=True)
 class Defaults:
-    """Values of the preferences where the add-on is not enabled there: scripts and tests that register it by themselves."""
+    """Values of the preferences where the add-on is not enabled there: scripts and tests that register it by
+    themselves."""
 
     threads: int = 0
     memory: float = 0.0
@@ -34,7 +35,9 @@ DEFAULTS = Defaults()
 
 def percentage(name: str, description: str, default: float, **more: Any) -> Any:
     """A property from 0 to 100 percent."""
-    return FloatProperty(name=name, description=description, subtype="PERCENTAGE", default=default, min=0.0, max=100.0, **more)
+    return FloatProperty(
+        name=name, description=description, subtype="PERCENTAGE", default=default, min=0.0, max=100.0, **more
+    )
 
 
 class LipacPreferences(bpy.types.AddonPreferences):
@@ -42,24 +45,38 @@ class LipacPreferences(bpy.types.AddonPreferences):
 
     bl_idname = ROOT
 
-    threads: IntProperty(name="Threads", description="Threads of the analysis; 0 takes all cores", default=DEFAULTS.threads, min=0, max=1024)  # type: ignore[valid-type]
+    threads: IntProperty(  # type: ignore[valid-type]
+        name="Threads",
+        description="Threads of the analysis; 0 takes all cores",
+        default=DEFAULTS.threads,
+        min=0,
+        max=1024,
+    )
     memory: FloatProperty(  # type: ignore[valid-type]
         name="Memory budget",
-        description="GiB that acceleration structures of an analysis may take; what is worth least goes first. 0: no limit",
+        description=(
+            "GiB that acceleration structures of an analysis may take; what is worth least goes first. 0: no limit"
+        ),
         default=DEFAULTS.memory,
         min=0.0,
         soft_max=64.0,
     )
     cache: StringProperty(  # type: ignore[valid-type]
         name="Cache folder",
-        description="Where compiled kernels are kept. Empty: the extension's own folder. Takes effect when Blender starts again",
+        description=(
+            "Where compiled kernels are kept. Empty: the extension's own folder. Takes effect when Blender starts again"
+        ),
         subtype="DIR_PATH",
         default=DEFAULTS.cache,
     )
     max_error: percentage(  # type: ignore[valid-type]
-        "Error budget", "Error budget of scenes that do not set their own: how much the picture may change on average", DEFAULTS.max_error
+        "Error budget",
+        "Error budget of scenes that do not set their own: how much the picture may change on average",
+        DEFAULTS.max_error,
     )
-    worst_error: percentage("Worst tile", "The same for any one tile of the picture (a 16th of its width)", DEFAULTS.worst_error)  # type: ignore[valid-type]
+    worst_error: percentage(  # type: ignore[valid-type]
+        "Worst tile", "The same for any one tile of the picture (a 16th of its width)", DEFAULTS.worst_error
+    )
 
     def draw(self, _context: bpy.types.Context) -> None:
         """The preferences' own page."""
@@ -79,7 +96,8 @@ def get() -> Any:
 
 
 def _use_cache() -> None:
-    """Have the engine keep compiled kernels in the folder that the preferences name, an installed extension in its own one; before `core` is imported."""
+    """Have the engine keep compiled kernels in the folder that the preferences name, an installed extension in its own
+    one; before `core` is imported."""
     global _given  # noqa: PLW0603
     _given = os.environ.get(_CACHE)
     if get().cache:

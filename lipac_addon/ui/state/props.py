@@ -67,7 +67,10 @@ class LipacSettings(bpy.types.PropertyGroup):
         items=[(policy.name, policy.label, policy.description, "NONE", policy.rank) for policy in _OFFERED],
     )
     max_error: preferences.percentage(  # type: ignore[valid-type]
-        "Error budget", "How much the picture may change on average. Less keeps more", preferences.DEFAULTS.max_error, get_transform=_preferred("max_error")
+        "Error budget",
+        "How much the picture may change on average. Less keeps more",
+        preferences.DEFAULTS.max_error,
+        get_transform=_preferred("max_error"),
     )
     worst_error: preferences.percentage(  # type: ignore[valid-type]
         "Worst tile",
@@ -85,45 +88,103 @@ class LipacSettings(bpy.types.PropertyGroup):
     )
     paths: IntProperty(  # type: ignore[valid-type]
         name="Paths",
-        description="Light paths per pixel of the analysis picture. 0: as many as the error needs. More find smaller things, and take longer",
+        description=(
+            "Light paths per pixel of the analysis picture. 0: as many as the error needs. More find smaller "
+            "things, and take longer"
+        ),
         default=0,
         min=0,
         soft_max=64,
     )
     width: IntProperty(  # type: ignore[valid-type]
-        name="Width", description="Width of the analysis picture in pixels", default=240, min=16, soft_max=1920, subtype="PIXEL"
+        name="Width",
+        description="Width of the analysis picture in pixels",
+        default=240,
+        min=16,
+        soft_max=1920,
+        subtype="PIXEL",
     )
-    seed: IntProperty(name="Seed", description="Seed of the analysis' random numbers; the same seed decides the same", default=0, min=0)  # type: ignore[valid-type]
+    seed: IntProperty(  # type: ignore[valid-type]
+        name="Seed",
+        description="Seed of the analysis' random numbers; the same seed decides the same",
+        default=0,
+        min=0,
+    )
     use_for_renders: BoolProperty(  # type: ignore[valid-type]
         name="Use for renders",
-        description="Cull during renders and animations, and put everything back afterwards. Locks the interface while rendering",
+        description=(
+            "Cull during renders and animations, and put everything back afterwards. Locks the interface while "
+            "rendering"
+        ),
         update=_lock_interface,
     )
-    show_overlay: BoolProperty(name="Overlay", description="Draw the analysed instances as boxes in the viewport", update=_redraw)  # type: ignore[valid-type]
+    show_overlay: BoolProperty(  # type: ignore[valid-type]
+        name="Overlay", description="Draw the analysed instances as boxes in the viewport", update=_redraw
+    )
     show_active: BoolProperty(name="Active", description="Boxes of instances that stay", default=True, update=_redraw)  # type: ignore[valid-type]
-    show_pending: BoolProperty(name="Pending", description="Boxes of instances that are wanted and still being built (live mode)", default=True, update=_redraw)  # type: ignore[valid-type]
-    show_culled: BoolProperty(name="Culled", description="Boxes of instances that go, one by one", update=_redraw)  # type: ignore[valid-type]
-    show_regions: BoolProperty(name="Regions", description="Boxes that stand in for what is culled", default=True, update=_redraw)  # type: ignore[valid-type]
+    show_pending: BoolProperty(  # type: ignore[valid-type]
+        name="Pending",
+        description="Boxes of instances that are wanted and still being built (live mode)",
+        default=True,
+        update=_redraw,
+    )
+    show_culled: BoolProperty(name="Culled", description=("Boxes of instances that go, one by one"), update=_redraw)  # type: ignore[valid-type]
+    show_regions: BoolProperty(  # type: ignore[valid-type]
+        name="Regions", description="Boxes that stand in for what is culled", default=True, update=_redraw
+    )
     heat_map: BoolProperty(  # type: ignore[valid-type]
-        name="Heat Map", description="Colour instances by how many light paths meet them, from dark (none) to bright (most), not by state", update=_redraw
+        name="Heat Map",
+        description=(
+            "Colour instances by how many light paths meet them, from dark (none) to bright (most), not by state"
+        ),
+        update=_redraw,
     )
-    opacity: FloatProperty(name="Opacity", description="Opacity of the boxes", subtype="FACTOR", default=0.6, min=0.0, max=1.0, update=_redraw)  # type: ignore[valid-type]
-    in_front: BoolProperty(name="In Front", description="Draw boxes also where geometry hides them", update=_redraw)  # type: ignore[valid-type]
+    opacity: FloatProperty(  # type: ignore[valid-type]
+        name="Opacity",
+        description="Opacity of the boxes",
+        subtype="FACTOR",
+        default=0.6,
+        min=0.0,
+        max=1.0,
+        update=_redraw,
+    )
+    in_front: BoolProperty(name="In Front", description=("Draw boxes also where geometry hides them"), update=_redraw)  # type: ignore[valid-type]
     freeze: BoolProperty(  # type: ignore[valid-type]
-        name="Freeze", description="Keep showing these boxes while you fly around, change frames and analyse again", update=_freeze
+        name="Freeze",
+        description="Keep showing these boxes while you fly around, change frames and analyse again",
+        update=_freeze,
     )
-    applied: BoolProperty(name="Applied", description="Culled instances are hidden from renders of this file", options={"HIDDEN"})  # type: ignore[valid-type]
-    applied_from: IntProperty(name="Applied from", description="The first frame that what is applied holds for", options={"HIDDEN"})  # type: ignore[valid-type]
-    applied_to: IntProperty(name="Applied to", description="The last frame that what is applied holds for", options={"HIDDEN"})  # type: ignore[valid-type]
-    applied_step: IntProperty(name="Applied step", description="From one frame that what is applied holds for to the next", options={"HIDDEN"})  # type: ignore[valid-type]
-    applied_count: IntProperty(name="Applied count", description="Instances that are hidden from renders", options={"HIDDEN"})  # type: ignore[valid-type]
-    in_render: BoolProperty(name="In a render", description="Culled instances are hidden until the running render ends", options={"HIDDEN"})  # type: ignore[valid-type]
-    locked: BoolProperty(name="Interface lock", description="LiPaC locked the interface during renders", options={"HIDDEN"})  # type: ignore[valid-type]
+    applied: BoolProperty(  # type: ignore[valid-type]
+        name="Applied", description="Culled instances are hidden from renders of this file", options={"HIDDEN"}
+    )
+    applied_from: IntProperty(  # type: ignore[valid-type]
+        name="Applied from", description="The first frame that what is applied holds for", options={"HIDDEN"}
+    )
+    applied_to: IntProperty(  # type: ignore[valid-type]
+        name="Applied to", description="The last frame that what is applied holds for", options={"HIDDEN"}
+    )
+    applied_step: IntProperty(  # type: ignore[valid-type]
+        name="Applied step", description="From one frame that what is applied holds for to the next", options={"HIDDEN"}
+    )
+    applied_count: IntProperty(  # type: ignore[valid-type]
+        name="Applied count", description="Instances that are hidden from renders", options={"HIDDEN"}
+    )
+    in_render: BoolProperty(  # type: ignore[valid-type]
+        name="In a render", description="Culled instances are hidden until the running render ends", options={"HIDDEN"}
+    )
+    locked: BoolProperty(  # type: ignore[valid-type]
+        name="Interface lock", description="LiPaC locked the interface during renders", options={"HIDDEN"}
+    )
 
 
 for _own in [policy.setting for policy in _OFFERED if policy.setting is not None]:
     LipacSettings.__annotations__[_own.name] = FloatProperty(
-        name=_own.label, description=_own.description, default=_own.default, min=0.0, max=min(_own.most, 3.4e38), subtype=_own.kind
+        name=_own.label,
+        description=_own.description,
+        default=_own.default,
+        min=0.0,
+        max=min(_own.most, 3.4e38),
+        subtype=_own.kind,
     )
 _ROLE_OWNERS: tuple[Any, ...] = (bpy.types.Object, bpy.types.Collection)
 
@@ -161,7 +222,8 @@ def marked(role: str) -> set[bpy.types.Object]:
 
 
 def pinned(keys: Keys, uids: I64) -> NDArray[np.bool_] | None:
-    """(N,) bool: instances that stay whatever paths meet; None where nothing is pinned. keys, uids: as of `results.FrameResult`."""
+    """(N,) bool: instances that stay whatever paths meet; None where nothing is pinned. keys, uids: as of
+    `results.FrameResult`."""
     pins = marked(PIN)
     return results.instances_of(keys, results.among(uids, pins)) if pins else None
 
@@ -177,12 +239,17 @@ def frame_range(scene: bpy.types.Scene) -> range:
 
 
 def register() -> None:
-    """Put the settings on scenes, and roles on objects and collections: no group of properties, of which Blender saves nothing on a library override."""
+    """Put the settings on scenes, and roles on objects and collections: no group of properties, of which Blender saves
+    nothing on a library override."""
     bpy.utils.register_class(LipacSettings)
     bpy.types.Scene.lipac = PointerProperty(type=LipacSettings, name="LiPaC", description="Light path guided culling")
     for owner in _ROLE_OWNERS:
         owner.lipac_role = EnumProperty(
-            name="Culling", description="Whether the analysis may cull this", items=ROLES, override={"LIBRARY_OVERRIDABLE"}, update=_role
+            name="Culling",
+            description="Whether the analysis may cull this",
+            items=ROLES,
+            override={"LIBRARY_OVERRIDABLE"},
+            update=_role,
         )
 
 

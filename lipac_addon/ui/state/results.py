@@ -27,7 +27,8 @@ CULLED, PENDING, ACTIVE = 0, 1, 2  # core.culling.options.State, without loading
 class Reason:
     """Why an object's instances stay or go.
 
-    instances, kept: how many; paths: (RAY_TYPES,) light paths that met them, by type of ray; worth: share of the picture that they may be worth together.
+    instances, kept: how many; paths: (RAY_TYPES,) light paths that met them, by type of ray; worth: share of the
+    picture that they may be worth together.
     """
 
     instances: int
@@ -40,10 +41,12 @@ class Reason:
 class FrameResult:
     """The analysis of a frame.
 
-    keys: of its N instances; uids: (names,) int64, the session uid of each of `keys.names`, -1 for what was none of the file's objects.
-    state: (N,) uint8; score: (N,) float32; hits: (N, RAY_TYPES) int64; bounds: (N, 2, 3), regions: (H, 2, 3) float32 boxes, `origin` (3,) float64 to be added.
-    stats: figures as in report.json. warnings: lines for the user. Of objects that instance by geometry nodes, by their uids: scatters, (R, 3) float32, where
-    their rows are, in their own space; prints: digests of what the viewport showed of them.
+    keys: of its N instances; uids: (names,) int64, the session uid of each of `keys.names`, -1 for what was none of the
+    file's objects.
+    state: (N,) uint8; score: (N,) float32; hits: (N, RAY_TYPES) int64; bounds: (N, 2, 3), regions: (H, 2, 3) float32
+    boxes, `origin` (3,) float64 to be added. stats: figures as in report.json. warnings: lines for the user. Of objects
+    that instance by geometry nodes, by their uids: scatters, (R, 3) float32, where their rows are, in their own space;
+    prints: digests of what the viewport showed of them.
     """
 
     frame: int
@@ -62,8 +65,11 @@ class FrameResult:
     _reasons: dict[str, Reason] = field(default_factory=dict)
 
     @staticmethod
-    def of(frame: int, extraction: Extraction, uids: I64, result: CullingResult, pinned: NDArray[np.bool_] | None = None) -> FrameResult:
-        """Put together what extraction and analysis gave. pinned: (N,) bool, instances that renders show whatever the analysis had no memory for."""
+    def of(
+        frame: int, extraction: Extraction, uids: I64, result: CullingResult, pinned: NDArray[np.bool_] | None = None
+    ) -> FrameResult:
+        """Put together what extraction and analysis gave. pinned: (N,) bool, instances that renders show whatever the
+        analysis had no memory for."""
         scene, keys = extraction.scene, extraction.keys
         lines = (*extraction.warnings, *getattr(result, "warnings", ()), *scene.approximated)
         bounds, state, stats = scene.instances.bounds, result.state, result.stats
@@ -71,8 +77,23 @@ class FrameResult:
             state = np.where(pinned & (state == CULLED), np.uint8(ACTIVE), state)
             stats = stats | {"active": int((state == ACTIVE).sum()), "culled": int((state == CULLED).sum())}
         uid_of = dict(zip(keys.names, uids.tolist(), strict=True))
-        scatters = {uid_of[name]: rows.copy() for name, rows in extraction.scatters.items() if uid_of.get(name, -1) >= 0}
-        return FrameResult(frame, keys, uids, state, result.score, result.hits, bounds, result.boxes, scene.origin, stats, lines, scatters)
+        scatters = {
+            uid_of[name]: rows.copy() for name, rows in extraction.scatters.items() if uid_of.get(name, -1) >= 0
+        }
+        return FrameResult(
+            frame,
+            keys,
+            uids,
+            state,
+            result.score,
+            result.hits,
+            bounds,
+            result.boxes,
+            scene.origin,
+            stats,
+            lines,
+            scatters,
+        )
 
     @property
     def culled(self) -> NDArray[np.bool_]:
@@ -95,13 +116,16 @@ class FrameResult:
         if key not in self._reasons:
             mine = self.of_objects({ob})
             worth = float(self.score[mine].sum()) if "calibrated_mean" in self.stats else 0.0
-            self._reasons[key] = Reason(int(mine.sum()), int((mine & ~self.culled).sum()), self.hits[mine].sum(axis=0), worth)
+            self._reasons[key] = Reason(
+                int(mine.sum()), int((mine & ~self.culled).sum()), self.hits[mine].sum(axis=0), worth
+            )
         return self._reasons[key]
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Seconds and peak bytes of the full and of the culled render; mean, worst: relative change of the picture's coarse tiles, noise included."""
+    """Seconds and peak bytes of the full and of the culled render; mean, worst: relative change of the picture's coarse
+    tiles, noise included."""
 
     seconds: tuple[float, float]
     peak_bytes: tuple[int, int]
@@ -152,14 +176,18 @@ def at(scene: bpy.types.Scene) -> FrameResult | None:
 
 
 def union(frames: Collection[FrameResult]) -> FrameResult:
-    """One set for all frames: what any of them keeps. Where instances are and what met them is of no frame, so it is left out."""
+    """One set for all frames: what any of them keeps. Where instances are and what met them is of no frame, so it is
+    left out."""
     from ....core.files.report import States
     from ...batch.shot_set import ShotSet
 
     shot, name_of = ShotSet(), dict[str, str]()
     for frame in frames:
         columns = {name: frame.keys.records[name] for name in ("kind", "host", "object", "path")}
-        tags = tuple(str(uid) if uid >= 0 else f"-1 {name}" for uid, name in zip(frame.uids.tolist(), frame.keys.names, strict=True))
+        tags = tuple(
+            str(uid) if uid >= 0 else f"-1 {name}"
+            for uid, name in zip(frame.uids.tolist(), frame.keys.names, strict=True)
+        )
         name_of |= zip(tags, frame.keys.names, strict=True)  # names may change from frame to frame
         shot.add(States(frame.state, frame.score, frame.hits, columns, tags))
     uids = np.array([int(tag.split()[0]) for tag in shot.keys.names], np.int64)
@@ -167,11 +195,14 @@ def union(frames: Collection[FrameResult]) -> FrameResult:
     nothing, boxes = np.zeros(0, np.float32), np.zeros((0, 2, 3), np.float32)
     last = next(reversed(list(frames)))
     keys = Keys(shot.keys.records, tuple(name_of[tag] for tag in shot.keys.names))
-    return FrameResult(last.frame, keys, uids, state, nothing, np.zeros((0, len(RAYS)), np.int64), boxes, boxes, last.origin, {}, ())
+    return FrameResult(
+        last.frame, keys, uids, state, nothing, np.zeros((0, len(RAYS)), np.int64), boxes, boxes, last.origin, {}, ()
+    )
 
 
 def shown(scene: bpy.types.Scene) -> FrameResult | None:
-    """What the panel and the overlay show: what live mode found last, where it is on, else the result for the current frame."""
+    """What the panel and the overlay show: what live mode found last, where it is on, else the result for the current
+    frame."""
     return live.get(scene.session_uid) or at(scene)
 
 

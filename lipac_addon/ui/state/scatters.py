@@ -1,4 +1,5 @@
-"""Are the scatters of geometry nodes still the ones that were analysed? Their instances are found again by number, and an edit may number them anew."""
+"""Are the scatters of geometry nodes still the ones that were analysed? Their instances are found again by number, and
+an edit may number them anew."""
 
 from __future__ import annotations
 
@@ -11,9 +12,11 @@ import numpy as np
 
 
 def prints_of(scene: bpy.types.Scene, uids: Iterable[int]) -> dict[int, bytes]:
-    """By session uid of those objects that the viewport shows at the scene's frame, a digest of their rows: transforms, and what they refer to.
+    """By session uid of those objects that the viewport shows at the scene's frame, a digest of their rows: transforms,
+    and what they refer to.
 
-    Taken from the viewport's graph, which costs nothing to evaluate. Render and viewport may scatter differently; but what an edit changes, it changes in both.
+    Taken from the viewport's graph, which costs nothing to evaluate. Render and viewport may scatter differently; but
+    what an edit changes, it changes in both.
     """
     found: dict[int, bytes] = {}
     wanted = set(uids)

@@ -1,8 +1,9 @@
-"""A shot's graph simulated from measured seconds: when it would end on so many machines, and what keeps it from ending sooner.
+"""A shot's graph simulated from measured seconds: when it would end on so many machines, and what keeps it from ending
+sooner.
 
-Each step waits for the one before. Its tasks are handed out in order, each to the machine that is free first. A task begins with what it takes to hand it out
-and to start its process, reads and writes the shared folder at what is left of it for each, and takes for each of its frames what a frame took that was
-measured, drawn by chance.
+Each step waits for the one before. Its tasks are handed out in order, each to the machine that is free first. A task
+begins with what it takes to hand it out and to start its process, reads and writes the shared folder at what is left of
+it for each, and takes for each of its frames what a frame took that was measured, drawn by chance.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ STEPS = ("analyze", "unite", "render", "verify", "certify")
 class Measured:
     """What was measured, in seconds.
 
-    analyze, render: of frames; verify: of verified frames. start: of a process until its first frame, by step. per_frame: for each frame of the shot, of the
-    steps that are one task. bytes: of the files scene, culled, analysis and picture. ratio: of rendering in full to culled.
+    analyze, render: of frames; verify: of verified frames. start: of a process until its first frame, by step.
+    per_frame: for each frame of the shot, of the steps that are one task. bytes: of the files scene, culled, analysis
+    and picture. ratio: of rendering in full to culled.
     """
 
     analyze: Sequence[float]
@@ -34,8 +36,8 @@ class Measured:
 
 @dataclass(frozen=True)
 class Farm:
-    """handing_out: seconds from a task's end to the begin of the next one on a machine. folder, link: bytes a second that the shared folder gives to all, and
-    at most to one."""
+    """handing_out: seconds from a task's end to the begin of the next one on a machine. folder, link: bytes a second
+    that the shared folder gives to all, and at most to one."""
 
     handing_out: float = 2.0
     folder: float = 1.25e9
@@ -78,12 +80,19 @@ def in_full(measured: Measured, frames: int, workers: int, farm: Farm = Farm(), 
     """Seconds of the same shot rendered in full."""
     draw, chunk = random.Random(seed), chunk_of(frames, workers)
     parts = [min(chunk, frames - k) for k in range(0, frames, chunk)]
-    tasks = [(measured.ratio * sum(draw.choices(measured.render, k=n)), measured.bytes["scene"] + n * measured.bytes["picture"]) for n in parts]
+    tasks = [
+        (
+            measured.ratio * sum(draw.choices(measured.render, k=n)),
+            measured.bytes["scene"] + n * measured.bytes["picture"],
+        )
+        for n in parts
+    ]
     return scheduled(tasks, measured.start["render"], workers, farm)
 
 
 def scheduled(tasks: Sequence[tuple[float, int]], start: float, workers: int, farm: Farm) -> float:
-    """Seconds until the last of a step's tasks ends; each is its seconds and the bytes that it reads and writes. List scheduling (Graham 1966)."""
+    """Seconds until the last of a step's tasks ends; each is its seconds and the bytes that it reads and writes. List
+    scheduling (Graham 1966)."""
     rate = min(farm.link, farm.folder / min(workers, len(tasks)))
     free = [0.0] * min(workers, len(tasks))
     for seconds, size in tasks:

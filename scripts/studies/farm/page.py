@@ -1,4 +1,5 @@
-"""`python -m lipac.scripts.studies.farm.page [--measure SCENE --frames A-B]`: measures a shot's tasks on this machine, and plans with them: docs/farm.md."""
+"""`python -m lipac.scripts.studies.farm.page [--measure SCENE --frames A-B]`: measures a shot's tasks on this machine,
+and plans with them: docs/farm.md."""
 
 from __future__ import annotations
 
@@ -44,7 +45,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     measured = Measured(**{name: found[name] for name in Measured.__dataclass_fields__})
     plot(measured, FOLDER / "makespan.svg")
     parts = {"measured": measured_table(found), "simulated": simulated_table(measured)}
-    text = re.sub(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", lambda m: f"{m[1]}{parts[m[2]]}\n{m[3]}", PAGE.read_text(), flags=re.DOTALL)
+    text = re.sub(
+        r"(<!-- (\w+) -->\n).*?(<!-- end -->)",
+        lambda m: f"{m[1]}{parts[m[2]]}\n{m[3]}",
+        PAGE.read_text(),
+        flags=re.DOTALL,
+    )
     PAGE.write_text(text)
     return 0
 
@@ -70,14 +76,24 @@ def measure(scene: Path, folder: Path, asked: Sequence[str]) -> dict[str, Any]:
     beside = {name: max(walls[name] - sum(own[name]), 0.0) for name in ("analyze", "render")}
     beside["verify"] = max(walls["verify"] - sum(own["verify"]), 0.0)
     beside |= {name: max(walls[name] - per_frame[name] * len(frames), 0.0) for name in ("unite", "certify")}
-    files = {"scene": shot.scene, "culled": shot.culled, "analysis": shot.analysis(shot.first), "picture": shot.picture(shot.first)}
+    files = {
+        "scene": shot.scene,
+        "culled": shot.culled,
+        "analysis": shot.analysis(shot.first),
+        "picture": shot.picture(shot.first),
+    }
     return {
         **own,
         "start": beside,
         "per_frame": per_frame,
         "bytes": {name: path.stat().st_size for name, path in files.items()},
         "ratio": certificate["seconds"]["ratio"],
-        "shot": {"frames": [shot.first, shot.last], "resolution": shot.resolution, "samples": shot.samples, "instances": united["instances"]},
+        "shot": {
+            "frames": [shot.first, shot.last],
+            "resolution": shot.resolution,
+            "samples": shot.samples,
+            "instances": united["instances"],
+        },
         "kept": {"active": united["active"], "needed": fmean(f["analysis"]["active"] for f in frames)},
         "peak_bytes": certificate["peak_bytes"],
         "error": [found["attempts"][-1]["verified_mean"] for f in frames if (found := f["verified"])],
@@ -110,7 +126,13 @@ def plot(measured: Measured, path: Path) -> None:
         for (frames, checks), colour in zip(SHOTS, ("tab:blue", "tab:orange"), strict=True):
             runs = [simulate(measured, frames, n, checks).total for n in WORKERS]
             left.loglog(WORKERS, runs, "o-", color=colour, label=f"{frames:,} frames: all steps")
-            left.loglog(WORKERS, [in_full(measured, frames, n) for n in WORKERS], "--", color=colour, label=f"{frames:,} frames: in full, without certificate")
+            left.loglog(
+                WORKERS,
+                [in_full(measured, frames, n) for n in WORKERS],
+                "--",
+                color=colour,
+                label=f"{frames:,} frames: in full, without certificate",
+            )
         left.set(xlabel="machines", ylabel="seconds")
         left.legend(loc="lower left")
         left.grid(alpha=0.3)
@@ -136,20 +158,33 @@ def measured_table(found: dict[str, Any]) -> str:
         ("analyze", "a frame", fmean(found["analyze"]), found["start"]["analyze"], peak["analysis"]),
         ("unite", "a frame's states", found["per_frame"]["unite"], found["start"]["unite"], peak["unite"]),
         ("render", "a frame, culled", fmean(found["render"]), found["start"]["render"], peak["render"]),
-        ("render", "a frame in full, estimated", fmean(found["render"]) * found["ratio"], found["start"]["render"], peak["crops_full"]),
+        (
+            "render",
+            "a frame in full, estimated",
+            fmean(found["render"]) * found["ratio"],
+            found["start"]["render"],
+            peak["crops_full"],
+        ),
         ("verify", "a frame of the sample", fmean(found["verify"]), found["start"]["verify"], peak["crops_full"]),
         ("certify", "a frame's notes", found["per_frame"]["certify"], found["start"]["certify"], 0),
     ]
-    lines = [f"| {step} | {what} | {_short(own)} | {start:.1f} s | {size(memory) if memory else ''} |" for step, what, own, start, memory in rows]
+    lines = [
+        f"| {step} | {what} | {_short(own)} | {start:.1f} s | {size(memory) if memory else ''} |"
+        for step, what, own, start, memory in rows
+    ]
     head = ["| step | of | seconds | and once a task | peak memory |", "|---|---|---:|---:|---:|"]
     total = sum(sum(found[name]) for name in ("analyze", "render", "verify")) + sum(found["start"].values())
     size_of = {name: size(count) for name, count in found["bytes"].items()}
     return "\n".join(
         [
-            f"Frames {first}-{last} of `flythrough` with {shot['instances']:,} instances, {'x'.join(map(str, shot['resolution']))}, {shot['samples']} samples: "
-            f"a frame needs {kept['needed']:,.0f} of them on average, the shot {kept['active']:,}. Two verified frames change by "
-            f"{' and '.join(f'{100 * error:.2g} %' for error in found['error'])}. All {frames} frames took {clock(total)}. Files: the scene "
-            f"{size_of['scene']}, shot.blend {size_of['culled']}, a frame's analysis {size_of['analysis']}, its picture {size_of['picture']}.",
+            f"Frames {first}-{last} of `flythrough` with {shot['instances']:,} instances, "
+            f"{'x'.join(map(str, shot['resolution']))}, {shot['samples']} samples: "
+            f"a frame needs {kept['needed']:,.0f} of them on average, the shot {kept['active']:,}. Two verified frames "
+            "change by "
+            f"{' and '.join(f'{100 * error:.2g} %' for error in found['error'])}. All {frames} frames took "
+            f"{clock(total)}. Files: the scene "
+            f"{size_of['scene']}, shot.blend {size_of['culled']}, a frame's analysis {size_of['analysis']}, its "
+            f"picture {size_of['picture']}.",
             "",
             *head,
             *lines,
@@ -171,10 +206,19 @@ def simulated_table(measured: Measured) -> str:
         for workers in (1, 10, 100, 1000):
             run = simulate(measured, frames, workers, checks)
             cells = [clock(run.steps[step]) for step in STEPS]
-            lines.append(f"| {frames:,} | {workers:,} | {' | '.join(cells)} | {clock(run.total)} | {clock(in_full(measured, frames, workers))} |")
+            lines.append(
+                f"| {frames:,} | {workers:,} | {' | '.join(cells)} | {clock(run.total)} | "
+                f"{clock(in_full(measured, frames, workers))} |"
+            )
     frames, checks = SHOTS[-1]
-    usual, slow = (simulate(measured, frames, WORKERS[-1], checks, farm).total for farm in (Farm(), Farm(folder=Farm().folder / 10)))
-    more = f"With a shared folder a tenth as fast, {frames:,} frames on {WORKERS[-1]:,} machines take {clock(slow)} in place of {clock(usual)}."
+    usual, slow = (
+        simulate(measured, frames, WORKERS[-1], checks, farm).total
+        for farm in (Farm(), Farm(folder=Farm().folder / 10))
+    )
+    more = (
+        f"With a shared folder a tenth as fast, {frames:,} frames on {WORKERS[-1]:,} machines take {clock(slow)} "
+        f"in place of {clock(usual)}."
+    )
     return "\n".join([*lines, "", more])
 
 

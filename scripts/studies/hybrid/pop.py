@@ -1,8 +1,10 @@
-"""The pop of a shadow whose caster is culled and comes back: `python -m lipac.scripts.studies.hybrid.pop -o docs/results`.
+"""The pop of a shadow whose caster is culled and comes back: `python -m lipac.scripts.studies.hybrid.pop -o
+docs/results`.
 
-A camera draws back from a slab over a floor, and returns; `--cull distance` culls the slab on the way and keeps it again. Each frame is rendered with nothing
-culled, with the slab's shadow from the raster where it is culled (the hybrid renderer), and without (`--primary traced`). The pop of a frame is how much its
-shadow, less that of the unculled frame, differs from the frame before, over the brightness of the lit floor. Writes DIR/hybrid_pop.json, a picture into
+A camera draws back from a slab over a floor, and returns; `--cull distance` culls the slab on the way and keeps it
+again. Each frame is rendered with nothing culled, with the slab's shadow from the raster where it is culled (the hybrid
+renderer), and without (`--primary traced`). The pop of a frame is how much its shadow, less that of the unculled frame,
+differs from the frame before, over the brightness of the lit floor. Writes DIR/hybrid_pop.json, a picture into
 DIR/../pictures, and the tables into DIR/../results.md where that is there.
 """
 
@@ -35,7 +37,8 @@ FALLBACKS = {"raster shadow maps": "raster", "none": "traced"}
 
 @dataclass(frozen=True)
 class Pop:
-    """Of F frames. kept: whether the slab was. shadow: brightness of its shadow over that of the lit floor, by fallback and "unculled".
+    """Of F frames. kept: whether the slab was. shadow: brightness of its shadow over that of the lit floor, by fallback
+    and "unculled".
     pop: of each frame, by fallback, 0 in the first. pictures: of each frame, unculled and by fallback side by side."""
 
     kept: list[bool]
@@ -58,7 +61,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     result = measure(FRAMES, (160, 90), args.samples)
     args.output.mkdir(parents=True, exist_ok=True)
-    figures = {"kept": result.kept, "shadow": result.shadow, "pop": result.pop, "largest": {name: result.largest(name) for name in FALLBACKS}}
+    figures = {
+        "kept": result.kept,
+        "shadow": result.shadow,
+        "pop": result.pop,
+        "largest": {name: result.largest(name) for name in FALLBACKS},
+    }
     with replacing(args.output / "hybrid_pop.json") as part:
         part.write_text(json.dumps(figures, indent=1) + "\n")
     changes = [k for k in range(1, FRAMES) if result.kept[k] != result.kept[k - 1]]
@@ -130,7 +138,13 @@ def frame(scene: Any, cull: CullOptions, primary: str, samples: int) -> tuple[F3
 
     with tempfile.TemporaryDirectory(prefix="lipac-") as folder:
         stem = Path(folder) / "frame"
-        result, _ = render_hybrid(extract_frame(scene, scene.frame_current).scene, HybridOptions(primary=primary, raster_samples=4), cull, stem, samples)
+        result, _ = render_hybrid(
+            extract_frame(scene, scene.frame_current).scene,
+            HybridOptions(primary=primary, raster_samples=4),
+            cull,
+            stem,
+            samples,
+        )
         layers = read_layers(stem.with_name("frame_layers.exr"))
     return layers["Combined"][..., :3], layers, result.active
 

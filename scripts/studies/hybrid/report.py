@@ -1,4 +1,5 @@
-"""What is measured of the hybrid renderer, as docs/results.md has it: tables in words, and the plot of error against time."""
+"""What is measured of the hybrid renderer, as docs/results.md has it: tables in words, and the plot of error against
+time."""
 
 from __future__ import annotations
 
@@ -11,7 +12,15 @@ import numpy as np
 from ....core.files.atomic import replacing
 from ..compare import markdown
 
-TRUTH, RASTER, WHOLE, CULLED, ROUGH, NOTHING, RAW = "Cycles", "EEVEE", "hybrid", "hybrid, 1 %", "hybrid, 30 %", "hybrid, all culled", "hybrid, not denoised"
+TRUTH, RASTER, WHOLE, CULLED, ROUGH, NOTHING, RAW = (
+    "Cycles",
+    "EEVEE",
+    "hybrid",
+    "hybrid, 1 %",
+    "hybrid, 30 %",
+    "hybrid, all culled",
+    "hybrid, not denoised",
+)
 SHOWN = (TRUTH, RASTER, WHOLE, CULLED)
 SETTINGS = ("resolution", "truth", "samples", "raster_samples")
 STAGES = ("first hits", "EEVEE", "analysis", "building", "tracing", "combine")
@@ -20,7 +29,8 @@ Row = dict[str, Any]
 
 
 def write_page(output: Path) -> None:
-    """Put the sections about the hybrid renderer, as the files in a folder say, at the end of the page beside it, where there is one."""
+    """Put the sections about the hybrid renderer, as the files in a folder say, at the end of the page beside it, where
+    there is one."""
     page = output.parent / "results.md"
     if page.exists():
         head = page.read_text().partition(f"\n{TITLE}\n")[0]
@@ -31,7 +41,9 @@ def write_page(output: Path) -> None:
 def sections(folder: Path) -> str:
     """All that the files in a folder say, where there are any."""
     parts = (("hybrid.json", results), ("hybrid_pop.json", pop))
-    return "".join("\n" + section(json.loads((folder / name).read_text())) for name, section in parts if (folder / name).exists())
+    return "".join(
+        "\n" + section(json.loads((folder / name).read_text())) for name, section in parts if (folder / name).exists()
+    )
 
 
 def pictures_folder(output: Path) -> Path:
@@ -52,8 +64,21 @@ def plot(costs: dict[str, list[Row]], path: Path) -> None:
             axes.plot([r["seconds"] for r in own], [r["flip"] for r in own], style, label=way, markersize=5)
             if way != TRUTH:
                 hidden = [r["seconds"] - r["stages"]["EEVEE"] for r in own]
-                axes.plot(hidden, [r["flip"] for r in own], style.replace("-", ":"), color=axes.lines[-1].get_color(), label=f"{way}, less EEVEE", markersize=3)
-        axes.set(xlabel="seconds of a frame", ylabel="mean FLIP against converged Cycles", xscale="log", yscale="log", title=name)
+                axes.plot(
+                    hidden,
+                    [r["flip"] for r in own],
+                    style.replace("-", ":"),
+                    color=axes.lines[-1].get_color(),
+                    label=f"{way}, less EEVEE",
+                    markersize=3,
+                )
+        axes.set(
+            xlabel="seconds of a frame",
+            ylabel="mean FLIP against converged Cycles",
+            xscale="log",
+            yscale="log",
+            title=name,
+        )
         axes.grid(alpha=0.3, which="both")
     figure.axes[0].legend(fontsize=7)
     with replacing(path) as part:
@@ -67,18 +92,32 @@ def results(measured: dict[str, Any]) -> str:
     head = ("scene", *ways[:3], "worse by", *ways[3:])
     body, linear = [], []
     for name, row in measured["scenes"].items():
-        errors, worse = ({m: row[m] for m in ("flip", "relmse")}, {m: row[m][CULLED] / row[m][WHOLE] - 1 for m in ("flip", "relmse")})
+        errors, worse = (
+            {m: row[m] for m in ("flip", "relmse")},
+            {m: row[m][CULLED] / row[m][WHOLE] - 1 for m in ("flip", "relmse")},
+        )
         blas, tlas = row["blas_bytes"], row["tlas_bytes"]
         share = (blas[0] + tlas[0]) / max(blas[1] + tlas[1], 1)
         cells = [[f"{errors[m][way]:.4f}" if way in errors[m] else "" for way in (*ways, RAW)] for m in errors]
-        kept = (f"{row['active']:,} of {row['instances']:,}", f"{blas[0] / max(blas[1], 1):.0%}", f"{share:.0%}", f"{row['overlap']:.0%}")
+        kept = (
+            f"{row['active']:,} of {row['instances']:,}",
+            f"{blas[0] / max(blas[1], 1):.0%}",
+            f"{share:.0%}",
+            f"{row['overlap']:.0%}",
+        )
         body.append((name, *cells[0][:3], f"{worse['flip']:+.1%}", *cells[0][3:5], *kept))
         linear.append((name, *cells[1][:3], f"{worse['relmse']:+.1%}", *cells[1][3:]))
     lines = [TITLE, ""]
     size, truth, samples, raster = (settings[name] for name in SETTINGS)
-    lines += [f"`python -m lipac.scripts.studies.hybrid.results -o docs/results`, at {size}: {truth} paths per pixel of Cycles are the truth,"]
+    lines += [
+        f"`python -m lipac.scripts.studies.hybrid.results -o docs/results`, at {size}: {truth} paths per pixel of "
+        "Cycles are the truth,"
+    ]
     lines += [f"{samples} those of the hybrid renderer, {raster} the samples of EEVEE. Mean FLIP of what is displayed."]
-    lines += ["Bytes of the culled picture over those of the unculled one, hitboxes included. Overlap: share of the frame in which both threads worked."]
+    lines += [
+        "Bytes of the culled picture over those of the unculled one, hitboxes included. Overlap: share of the frame "
+        "in which both threads worked."
+    ]
     lines += ["", markdown([(*head, "kept", "BLAS", "BLAS and TLAS", "overlap"), *body]), ""]
     lines += ["relMSE of the linear pictures:", "", markdown([(*head, RAW), *linear]), ""]
     lines += mixtures(measured["scenes"])
@@ -95,24 +134,32 @@ def results(measured: dict[str, Any]) -> str:
 def mixtures(scenes: dict[str, Row]) -> list[str]:
     """What is said of pictures that are EEVEE's in part or as a whole."""
     lines = []
-    shares = {name: ", ".join(f"{way}: {share:.0%}" for way, share in row.get("path_share", {}).items()) for name, row in scenes.items()}
+    shares = {
+        name: ", ".join(f"{way}: {share:.0%}" for way, share in row.get("path_share", {}).items())
+        for name, row in scenes.items()
+    }
     mixed = [f"{name} ({of})" for name, of in shares.items() if of]
     if mixed:
         lines += [f"Mixed with EEVEE's picture, and by which share made by paths: {'; '.join(mixed)}.", ""]
     alone = [f"{name} ({', '.join(row['raster_only'])})" for name, row in scenes.items() if row.get("raster_only")]
     if alone:
-        lines += ["Measured when one of the two pictures was chosen, before they were mixed (an error that is EEVEE's can have become smaller since), and"]
+        lines += [
+            "Measured when one of the two pictures was chosen, before they were mixed (an error that is EEVEE's can "
+            "have become smaller since), and"
+        ]
         lines += [f"shown by EEVEE alone: {'; '.join(alone)}.", ""]
     return lines
 
 
 def cost_table(name: str, rows: list[Row]) -> str:
-    """Stages of the hybrid renderer as shares of its frame, its error, and that of Cycles in the time of the frame, and in the time of it without EEVEE."""
+    """Stages of the hybrid renderer as shares of its frame, its error, and that of Cycles in the time of the frame, and
+    in the time of it without EEVEE."""
     cycles = sorted((r["seconds"], r["flip"]) for r in rows if r["way"] == TRUTH)
     known = np.log([c[0] for c in cycles]), np.log([c[1] for c in cycles])
 
     def in_time(limit: float) -> str:
-        """Error of Cycles after so many seconds, between measured ones on a line of their logarithms; beyond them the nearest."""
+        """Error of Cycles after so many seconds, between measured ones on a line of their logarithms; beyond them the
+        nearest."""
         return f"{np.exp(np.interp(np.log(max(limit, 1e-9)), *known)):.4f}"
 
     head = (name, "paths per pixel", *STAGES, "FLIP", "Cycles in equal time", "in that less EEVEE")
@@ -120,7 +167,16 @@ def cost_table(name: str, rows: list[Row]) -> str:
     for r in rows:
         if r["way"] != TRUTH:
             stages = [f"{r['stages'][stage] / r['seconds']:.0%}" for stage in STAGES]
-            body.append((r["way"], str(r["paths"]), *stages, f"{r['flip']:.4f}", in_time(r["seconds"]), in_time(r["seconds"] - r["stages"]["EEVEE"])))
+            body.append(
+                (
+                    r["way"],
+                    str(r["paths"]),
+                    *stages,
+                    f"{r['flip']:.4f}",
+                    in_time(r["seconds"]),
+                    in_time(r["seconds"] - r["stages"]["EEVEE"]),
+                )
+            )
     return markdown([head, *body])
 
 
@@ -131,9 +187,19 @@ def pop(figures: dict[str, Any]) -> str:
     rows += [(f"shadow, {name}", *(f"{x:.3f}" for x in values)) for name, values in figures["shadow"].items()]
     rows += [(f"pop, {name}", *(f"{x:.4f}" for x in values)) for name, values in figures["pop"].items()]
     lines = ["### The pop of a shadow whose caster is culled", ""]
-    lines += ["`python -m lipac.scripts.studies.hybrid.pop -o docs/results`: a camera draws back from a slab, which is culled by its distance, and returns."]
-    lines += ["Brightness of the slab's shadow over that of the lit floor, and how much the shadow, less that of the unculled frame, differs from the"]
+    lines += [
+        "`python -m lipac.scripts.studies.hybrid.pop -o docs/results`: a camera draws back from a slab, which is "
+        "culled by its distance, and returns."
+    ]
+    lines += [
+        "Brightness of the slab's shadow over that of the lit floor, and how much the shadow, less that of the "
+        "unculled frame, differs from the"
+    ]
     lines += ["frame before; by what stands in for the shadow of the culled slab.", "", markdown(rows), ""]
-    lines += ["The frame before the slab is culled and the first one without it: unculled, with the raster's shadow maps, with nothing in their place.", ""]
+    lines += [
+        "The frame before the slab is culled and the first one without it: unculled, with the raster's shadow maps, "
+        "with nothing in their place.",
+        "",
+    ]
     lines += ["![Two frames](pictures/hybrid-pop.png)"]
     return "\n".join(lines) + "\n"

@@ -1,11 +1,13 @@
 """What the hybrid renderer shows and costs, measured: `python -m lipac.scripts.studies.hybrid.results -o docs/results`.
 
-Each scene is rendered by Cycles (the truth), by EEVEE alone, and by the hybrid renderer with nothing culled, within budgets, and with everything culled;
-some also with 1 to 8 paths per pixel, next to Cycles in equal time. Every render is one `lipac render` in a process of its own, into the folder --work; what
-is there of the same scene file, and where it is ours of the same code, is not rendered again.
+Each scene is rendered by Cycles (the truth), by EEVEE alone, and by the hybrid renderer with nothing culled, within
+budgets, and with everything culled; some also with 1 to 8 paths per pixel, next to Cycles in equal time. Every render
+is one `lipac render` in a process of its own, into the folder --work; what is there of the same scene file, and where
+it is ours of the same code, is not rendered again.
 
-Writes DIR/hybrid.json after each scene, pictures into DIR/../pictures, and the tables into DIR/../results.md where that is there. Scenes that are not named
-keep their rows, so a list of scenes can be measured in several goes; their settings must be the same.
+Writes DIR/hybrid.json after each scene, pictures into DIR/../pictures, and the tables into DIR/../results.md where that
+is there. Scenes that are not named keep their rows, so a list of scenes can be measured in several goes; their settings
+must be the same.
 """
 
 from __future__ import annotations
@@ -23,11 +25,25 @@ import numpy as np
 from ....core.errors import InputError
 from ....core.evaluation.metrics import flip, relative_mse
 from ....core.files.atomic import replacing
+from ...command.digest import digest
 from ...evaluate import SUPPLIED
-from ...options import digest
 from ..compare import lipac, pictures
 from . import report
-from .report import CULLED, NOTHING, RASTER, RAW, ROUGH, SETTINGS, SHOWN, STAGES, TRUTH, WHOLE, Row, pictures_folder, write_page
+from .report import (
+    CULLED,
+    NOTHING,
+    RASTER,
+    RAW,
+    ROUGH,
+    SETTINGS,
+    SHOWN,
+    STAGES,
+    TRUTH,
+    WHOLE,
+    Row,
+    pictures_folder,
+    write_page,
+)
 
 WAYS = {
     TRUTH: ("--engine", "cycles", "--cull", "none"),
@@ -48,15 +64,23 @@ CYCLES_PATHS = (1, 2, 4, 8, 16, 32, 64)
 def main(argv: Sequence[str] | None = None) -> int:
     """Render, compare, write; returns the exit status."""
     parser = argparse.ArgumentParser(prog="hybrid_results", description=__doc__)
-    parser.add_argument("scenes", nargs="*", metavar="NAME", default=[*SCENES], help=f"default: all, {', '.join(SCENES)}")
+    parser.add_argument(
+        "scenes", nargs="*", metavar="NAME", default=[*SCENES], help=f"default: all, {', '.join(SCENES)}"
+    )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for hybrid.json")
-    parser.add_argument("--work", type=Path, default=Path("out/hybrid"), metavar="DIR", help="folder for renders (default: %(default)s)")
+    parser.add_argument(
+        "--work", type=Path, default=Path("out/hybrid"), metavar="DIR", help="folder for renders (default: %(default)s)"
+    )
     parser.add_argument("--supplied", type=Path, default=SUPPLIED, metavar="DIR", help="where the supplied scenes are")
     parser.add_argument("--resolution", default="320x180")
     parser.add_argument("--truth", type=int, default=512, help="paths per pixel of the truth")
     parser.add_argument("--samples", type=int, default=32, help="paths per pixel of the hybrid renderer")
     parser.add_argument("--raster-samples", type=int, default=8, help="of EEVEE, alone and in the hybrid renderer")
-    parser.add_argument("--no-cost", action="store_true", help="errors alone; what the file says of seconds stays, for another machine's would not compare")
+    parser.add_argument(
+        "--no-cost",
+        action="store_true",
+        help="errors alone; what the file says of seconds stays, for another machine's would not compare",
+    )
     args = parser.parse_args(argv)
     try:
         results = begun(args)
@@ -80,16 +104,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def begun(args: argparse.Namespace) -> dict[str, Any]:
-    """What DIR/hybrid.json has, or the beginning of it. Raises InputError for unknown scenes, and where rows that stay were measured by other settings."""
+    """What DIR/hybrid.json has, or the beginning of it. Raises InputError for unknown scenes, and where rows that stay
+    were measured by other settings."""
     if unknown := [name for name in args.scenes if name not in SCENES]:
         raise InputError(f"no such scene: {', '.join(unknown)}; choose of {', '.join(SCENES)}")
     args.output.mkdir(parents=True, exist_ok=True)
     target, settings = args.output / "hybrid.json", {name: getattr(args, name) for name in SETTINGS}
-    results: dict[str, Any] = json.loads(target.read_text()) if target.exists() else {"scenes": {}, "cost": {}, "settings": settings}
+    results: dict[str, Any] = (
+        json.loads(target.read_text()) if target.exists() else {"scenes": {}, "cost": {}, "settings": settings}
+    )
     stay = results["scenes"].keys() - set(args.scenes)
     if results["settings"] != settings and stay:
         old = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in results["settings"].items())
-        raise InputError(f"{target} has {', '.join(sorted(stay))} by {old}: give the same settings, or name these scenes, too")
+        raise InputError(
+            f"{target} has {', '.join(sorted(stay))} by {old}: give the same settings, or name these scenes, too"
+        )
     return results | {"settings": settings}
 
 
@@ -119,7 +148,11 @@ def render(name: str, scene: Path, way: str, samples: int, args: argparse.Namesp
     ours = "hybrid" in WAYS[way]
     more = ["--raster-samples", str(args.raster_samples)] if ours else []
     made = hashlib.sha256(f"{digest(scene)} {digest(*sources()) if ours else ''} {more}".encode()).hexdigest()[:10]
-    folder: Path = args.work / name / f"{args.resolution}-{samples}-{way.replace(', ', '-').replace(' %', '').replace(' ', '-')}-{made}"
+    folder: Path = (
+        args.work
+        / name
+        / f"{args.resolution}-{samples}-{way.replace(', ', '-').replace(' %', '').replace(' ', '-')}-{made}"
+    )
     if (folder / "report.json").exists() and json.loads((folder / "report.json").read_text())["frames"]:
         return folder
     print(f"{name}: {way}, {samples} samples", file=sys.stderr, flush=True)
@@ -130,7 +163,9 @@ def render(name: str, scene: Path, way: str, samples: int, args: argparse.Namesp
 def sources() -> list[Path]:
     """What a render of ours depends on."""
     root = Path(__file__).parents[3]
-    return sorted(path for folder in ("core", "lipac_addon") for path in (root / folder).rglob("*.py") if "ui" not in path.parts)
+    return sorted(
+        path for folder in ("core", "lipac_addon") for path in (root / folder).rglob("*.py") if "ui" not in path.parts
+    )
 
 
 def frame_of(folder: Path) -> Row:
@@ -140,7 +175,8 @@ def frame_of(folder: Path) -> Row:
 
 
 def compare(name: str, scene: Path, args: argparse.Namespace) -> Row:
-    """A scene in all ways: error of each against the truth, FLIP of what is displayed and relMSE of what is linear, and what the culled one keeps."""
+    """A scene in all ways: error of each against the truth, FLIP of what is displayed and relMSE of what is linear, and
+    what the culled one keeps."""
     from matplotlib.image import imsave
 
     samples = {TRUTH: args.truth, RASTER: args.raster_samples}
@@ -158,7 +194,9 @@ def compare(name: str, scene: Path, args: argparse.Namespace) -> Row:
         "blas_bytes": [culled["blas_bytes"], whole["blas_bytes"]],
         "tlas_bytes": [culled["tlas_bytes"], whole["tlas_bytes"]],
         "overlap": culled["overlap_s"] / max(seconds(culled), 1e-9),
-        "path_share": {way: share for way, folder in folders.items() if (share := frame_of(folder).get("path_share", 1)) < 1},
+        "path_share": {
+            way: share for way, folder in folders.items() if (share := frame_of(folder).get("path_share", 1)) < 1
+        },
     }
 
 
@@ -183,9 +221,20 @@ def cost(name: str, scene: Path, args: argparse.Namespace) -> list[Row]:
         for paths in all_paths:
             folder = render(name, scene, way, paths, args)
             frame = frame_of(folder)
-            stages = {stage: sum(s["end_s"] - s["start_s"] for s in frame.get("timeline", ()) if s["stage"] == stage) for stage in STAGES}
+            stages = {
+                stage: sum(s["end_s"] - s["start_s"] for s in frame.get("timeline", ()) if s["stage"] == stage)
+                for stage in STAGES
+            }
             error = flip(truth, pictures(folder.parent, folder.name)[1])[1]
-            out.append({"way": way, "paths": paths, "seconds": seconds(frame), "stages": stages if "timeline" in frame else {}, "flip": error})
+            out.append(
+                {
+                    "way": way,
+                    "paths": paths,
+                    "seconds": seconds(frame),
+                    "stages": stages if "timeline" in frame else {},
+                    "flip": error,
+                }
+            )
     return out
 
 

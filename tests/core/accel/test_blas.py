@@ -56,11 +56,13 @@ def test_refit_equals_rebuild_hit_for_hit() -> None:
         assert (rebuilt[0] == 0).sum() > 1000
         for a, b in zip(refitted, rebuilt, strict=True):
             np.testing.assert_array_equal(a, b)
-    assert (cache.work.built, cache.work.refitted) == (2, 2)  # the first time it is built once more, in the form that can be refitted
+    # the first time it is built once more, in the form that can be refitted
+    assert (cache.work.built, cache.work.refitted) == (2, 2)
 
 
 def test_what_is_torn_is_built_anew() -> None:
-    """Triangles that fly apart: refits cannot keep their tree, so after a while it is another one. What only sways, grows or turns is refitted on."""
+    """Triangles that fly apart: refits cannot keep their tree, so after a while it is another one. What only sways,
+    grows or turns is refitted on."""
     mesh = wave(0)
     loose = mesh.positions[mesh.triangles].reshape(-1, 3)
     triangles = np.arange(len(loose), dtype=np.uint32).reshape(-1, 3)
@@ -82,7 +84,8 @@ def test_what_is_torn_is_built_anew() -> None:
 def test_other_triangles_are_built_anew() -> None:
     cache = BlasCache([wave(0)])
     cache.need(np.array([0]))
-    for k, mesh in enumerate((wave(1), wave(1, 12), s.Mesh(wave(1).positions, wave(1).triangles[::-1].copy()))):  # the last two were not announced as replaced
+    # the last two were not announced as replaced
+    for k, mesh in enumerate((wave(1), wave(1, 12), s.Mesh(wave(1).positions, wave(1).triangles[::-1].copy()))):
         cache.advance([mesh], np.array([0], np.int32), NONE)
         cache.need(np.array([0]))
         fresh = BlasCache([mesh])
@@ -156,7 +159,8 @@ def test_builds_within_a_time_budget_come_frames_later_and_all_come() -> None:
     assert (meshes.reads == 1).all()
     sync = BlasCache(list(meshes))
     sync.need(wanted)
-    np.testing.assert_allclose(cache.bytes_of, sync.bytes_of, rtol=0.2)  # Embree takes memory by blocks, how many depends on its threads
+    # Embree takes memory by blocks, how many depends on its threads
+    np.testing.assert_allclose(cache.bytes_of, sync.bytes_of, rtol=0.2)
 
 
 def test_what_is_being_built_may_be_replaced_deformed_or_freed() -> None:
@@ -192,7 +196,8 @@ def test_the_least_valuable_go_first_where_bytes_are_short() -> None:
 
 
 def test_what_embree_measures_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Embree's bytes vary where threads share a build: with bytes that are twice as many or half as many at random, the same instances stay."""
+    """Embree's bytes vary where threads share a build: with bytes that are twice as many or half as many at random, the
+    same instances stay."""
     rng = np.random.default_rng(1)
     meshes = [scenes.quad(), *(scenes.sphere(rings) for rings in range(4, 16))]
     places = [(int(rng.integers(1, 13)), scenes.placed((*rng.uniform(-3, 3, 2), 0.1), 0.1), 0) for _ in range(300)]

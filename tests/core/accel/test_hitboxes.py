@@ -11,7 +11,8 @@ from lipac.core.scene.model import RAY_TYPES
 
 
 def rays(count: int, boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Origins, directions and ends: random ones, axis-aligned ones with zeros of both signs, origins on faces, corners and inside of boxes."""
+    """Origins, directions and ends: random ones, axis-aligned ones with zeros of both signs, origins on faces, corners
+    and inside of boxes."""
     rng = np.random.default_rng(7)
     origin = rng.uniform(-12, 12, (count, 3)).astype(np.float32)
     direction = rng.normal(size=(count, 3)).astype(np.float32)
@@ -29,11 +30,24 @@ def rays(count: int, boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 def traced(handle, counters, query, origin, direction, far, nearest):
     ray = np.zeros(embree.RAY, np.float32)
     for i in range(len(origin)):
-        embree.set_ray(ray, origin[i, 0], origin[i, 1], origin[i, 2], direction[i, 0], direction[i, 1], direction[i, 2], 0.0, 1e30, 1)
+        embree.set_ray(
+            ray,
+            origin[i, 0],
+            origin[i, 1],
+            origin[i, 2],
+            direction[i, 0],
+            direction[i, 1],
+            direction[i, 2],
+            0.0,
+            1e30,
+            1,
+        )
         hitboxes.count_crossings(handle, counters, query, ray, far[i], i % RAY_TYPES, nearest)
 
 
-def brute_force(boxes: np.ndarray, origin: np.ndarray, direction: np.ndarray, far: np.ndarray, nearest: int) -> np.ndarray:
+def brute_force(
+    boxes: np.ndarray, origin: np.ndarray, direction: np.ndarray, far: np.ndarray, nearest: int
+) -> np.ndarray:
     """The slab test of every ray with every box, in NumPy's float64."""
     counters = np.zeros((len(boxes), RAY_TYPES), np.int64)
     low, high = boxes[:, 0].astype(float), boxes[:, 1].astype(float)
@@ -42,7 +56,10 @@ def brute_force(boxes: np.ndarray, origin: np.ndarray, direction: np.ndarray, fa
         with np.errstate(divide="ignore", invalid="ignore"):
             a, b = (low - o) / d, (high - o) / d
         inside = (o >= low) & (o <= high)
-        a, b = np.where(d == 0, np.where(inside, -np.inf, np.inf), a), np.where(d == 0, np.where(inside, np.inf, -np.inf), b)
+        a, b = (
+            np.where(d == 0, np.where(inside, -np.inf, np.inf), a),
+            np.where(d == 0, np.where(inside, np.inf, -np.inf), b),
+        )
         near = np.maximum(np.minimum(a, b).max(axis=1), 0)
         near = np.where((d == 0) & ~inside, np.inf, 0).max(axis=1) + near
         met = near <= np.minimum(np.maximum(a, b).min(axis=1), float(far[i]))
@@ -72,7 +89,13 @@ def test_no_boxes_cost_nothing() -> None:
     subject = hitboxes.Hitboxes(np.zeros((0, 2, 3), np.float32))
     assert subject.handle == 0
     assert subject.bytes == 0
-    traced(subject.handle, subject.counters, np.zeros(hitboxes.QUERY, np.int64), *rays(3, np.zeros((1, 2, 3), np.float32)), 4)
+    traced(
+        subject.handle,
+        subject.counters,
+        np.zeros(hitboxes.QUERY, np.int64),
+        *rays(3, np.zeros((1, 2, 3), np.float32)),
+        4,
+    )
 
 
 def test_the_ray_is_left_as_it_was() -> None:

@@ -87,7 +87,9 @@ def test_boxes_follow_motion_and_span_it() -> None:
         while (cut.level > 0).any():  # down to the instances, every level is as tight as it can be
             for row in range(len(cut)):
                 inside = members(regions, cut, row)
-                np.testing.assert_array_equal(cut.bounds[row], [spanned[inside, 0].min(axis=0), spanned[inside, 1].max(axis=0)])
+                np.testing.assert_array_equal(
+                    cut.bounds[row], [spanned[inside, 0].min(axis=0), spanned[inside, 1].max(axis=0)]
+                )
             regions.split_nodes(cut, np.arange(len(cut)), np.ones(len(cut)))
             cut = regions.cut(nothing)
         bounds = after
@@ -111,7 +113,8 @@ def test_a_new_order_is_split_where_the_old_one_was() -> None:
     regions.split_nodes(cut, np.array([0]), np.array([60]))
     before = regions.cut(nothing)
     assert parts(regions, regions.renewed(bounds, np.arange(2000)).cut(nothing)) == parts(regions, before)
-    previous = np.random.default_rng(5).permutation(2000)[:1900].astype(np.int32)  # some are gone, the others have other rows
+    # some are gone, the others have other rows
+    previous = np.random.default_rng(5).permutation(2000)[:1900].astype(np.int32)
     new = regions.renewed(bounds[previous], np.arange(1900), previous)
     after = check(new, bounds[previous], np.zeros(1900, bool))
     finest = {int(i) for row in np.flatnonzero(before.level <= 1).tolist() for i in members(regions, before, row)}
@@ -167,9 +170,13 @@ def test_large_things_in_view_are_found_by_descent() -> None:
         x, y = local[..., 0], local[..., 1]
         out = [x < left * scale, x > right * scale, y < bottom * scale, y > top * scale, depth < 1.0, depth > 120.0]
         touches = ~np.any([side.all(axis=1) for side in out], axis=0)
-        nearest = np.linalg.norm(np.clip(camera.to_world[:, 3], bounds[:, 0], bounds[:, 1]) - camera.to_world[:, 3], axis=1)
+        nearest = np.linalg.norm(
+            np.clip(camera.to_world[:, 3], bounds[:, 0], bounds[:, 1]) - camera.to_world[:, 3], axis=1
+        )
         for share in (0.0, 0.05):
-            large = (bounds[:, 1] - bounds[:, 0]).max(axis=1) >= share * (right - left) * (1.0 if orthographic else nearest)
+            large = (bounds[:, 1] - bounds[:, 0]).max(axis=1) >= share * (right - left) * (
+                1.0 if orthographic else nearest
+            )
             found = regions.in_view(View.of(camera), share)
             assert 10 < len(found) < 2000
             np.testing.assert_array_equal(np.sort(found), np.flatnonzero(touches & large))

@@ -1,4 +1,5 @@
-"""Within a budget the BLASes of the most valuable instances are there, and what is there goes only for what is clearly worth more."""
+"""Within a budget the BLASes of the most valuable instances are there, and what is there goes only for what is clearly
+worth more."""
 
 from __future__ import annotations
 

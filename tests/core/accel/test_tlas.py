@@ -19,7 +19,18 @@ from .. import scenes
 def closest(tlas, ids, first, origin, direction, mask, instance, prim, distance):
     ray = np.zeros(embree.RAY, np.float32)
     for i in range(len(origin)):
-        embree.set_ray(ray, origin[i, 0], origin[i, 1], origin[i, 2], direction[i, 0], direction[i, 1], direction[i, 2], 0.0, np.inf, mask)
+        embree.set_ray(
+            ray,
+            origin[i, 0],
+            origin[i, 1],
+            origin[i, 2],
+            direction[i, 0],
+            direction[i, 1],
+            direction[i, 2],
+            0.0,
+            np.inf,
+            mask,
+        )
         instance[i], prim[i], distance[i] = -1, -1, np.inf
         if embree.intersect(tlas, ray):
             instance[i] = hit_instance(ids, first, ray)
@@ -27,7 +38,9 @@ def closest(tlas, ids, first, origin, direction, mask, instance, prim, distance)
             distance[i] = ray[embree.TFAR]
 
 
-def shoot(tlas: Tlas, origin: np.ndarray, direction: np.ndarray, mask: int = s.ALL_RAYS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def shoot(
+    tlas: Tlas, origin: np.ndarray, direction: np.ndarray, mask: int = s.ALL_RAYS
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(origin)
     out = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n)
     closest(tlas.handle, tlas.ids, tlas.first, origin, direction, mask, *out)
@@ -84,7 +97,8 @@ def test_instanced_equals_flat() -> None:
     assert hit.sum() > 1000
     assert ((instance >= 0) != (flat_prim >= 0)).sum() <= 3
     assert (hit & ~same).sum() <= 10
-    # Distances are lengths of directions of about 20: float32 rounding of positions of size 20, over that, is some 1e-6.
+    # Distances are lengths of directions of about 20: float32 rounding of positions of size 20, over that, is some
+    # 1e-6.
     np.testing.assert_allclose(distance[same], flat_distance[same], rtol=2e-5, atol=2e-6)
 
 
@@ -113,7 +127,8 @@ def test_rays_see_what_is_visible_to_their_type() -> None:
 
 
 def test_groups_of_one_keep_their_meshes() -> None:
-    """Embree ignores an index buffer of one item: an instance with visibility of its own must still be of its own mesh."""
+    """Embree ignores an index buffer of one item: an instance with visibility of its own must still be of its own
+    mesh."""
     sizes = (1.0, 2.0, 4.0)
     meshes = [s.Mesh(scenes.quad().positions * np.float32(size), scenes.quad().triangles) for size in sizes]
     flags = np.array([s.ALL_RAYS, s.ALL_RAYS & ~1, s.ALL_RAYS & ~2], np.uint8)
@@ -165,7 +180,9 @@ def test_meshes_without_triangles_are_passed_over() -> None:
 
 def test_a_tlas_outlives_what_the_cache_lets_go_of() -> None:
     """Its hits are the same after everything was freed, and other memory was asked for."""
-    scene = scenes.build([scenes.sphere(24), scenes.cube()], [(0, scenes.placed((0, 0, 0)), 0), (1, scenes.placed((2, 0, 0)), 0)])
+    scene = scenes.build(
+        [scenes.sphere(24), scenes.cube()], [(0, scenes.placed((0, 0, 0)), 0), (1, scenes.placed((2, 0, 0)), 0)]
+    )
     blas = BlasCache(scene.meshes)
     blas.need(np.array([0, 1]))
     tlas = Tlas(scene.instances, blas, np.ones(2, bool))

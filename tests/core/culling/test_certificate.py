@@ -1,4 +1,5 @@
-"""Paths that chose nothing: they see what the search did not, agree with brute force, and stop at what may break the budget."""
+"""Paths that chose nothing: they see what the search did not, agree with brute force, and stop at what may break the
+budget."""
 
 from __future__ import annotations
 
@@ -26,23 +27,43 @@ DIFFUSE = s.PathLimits(total=1, diffuse=1)
 
 
 def wall(side: int = 24, colors: int = 1) -> s.Scene:
-    """Small squares that touch, before a brighter wall: a path or two meets each, all of them are the picture. colors 2: red and green ones by turns."""
+    """Small squares that touch, before a brighter wall: a path or two meets each, all of them are the picture. colors
+    2: red and green ones by turns."""
     step = 6.0 / side
     squares = [
-        (0, facing((1, 0, 0), (0, -1, 0), ((i - side / 2) * step, 0, (j - side / 2) * step + 0.5), step, step), 1 + (i + j) % colors)
+        (
+            0,
+            facing((1, 0, 0), (0, -1, 0), ((i - side / 2) * step, 0, (j - side / 2) * step + 0.5), step, step),
+            1 + (i + j) % colors,
+        )
         for i in range(side)
         for j in range(side)
     ]
     back = (0, facing((1, 0, 0), (0, -1, 0), (0, 3, 0), 40, 40), 0)
-    materials = [material(base_color=0.7), material(base_color=(0.05, 0.02, 0.02)), material(base_color=(0.02, 0.05, 0.02))]
-    return scenes.build([scenes.quad()], [*squares, back], materials, scenes.look_at((0, -8, 0.5), (0, 0, 0.5)), None, (1, 1, 1), SIZE, DIFFUSE)
+    materials = [
+        material(base_color=0.7),
+        material(base_color=(0.05, 0.02, 0.02)),
+        material(base_color=(0.02, 0.05, 0.02)),
+    ]
+    return scenes.build(
+        [scenes.quad()],
+        [*squares, back],
+        materials,
+        scenes.look_at((0, -8, 0.5), (0, 0, 0.5)),
+        None,
+        (1, 1, 1),
+        SIZE,
+        DIFFUSE,
+    )
 
 
 def meadow(count: int = 3000, seed: int = 0) -> s.Scene:
     """Dark blades on a bright ground, most of them smaller than a pixel."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-12, 12, count), rng.uniform(-6, 30, count)
-    blades = [(1, scenes.placed((a, b, 0.15), (0.05, 0.05, 0.3)), 1) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    blades = [
+        (1, scenes.placed((a, b, 0.15), (0.05, 0.05, 0.3)), 1) for a, b in zip(x.tolist(), y.tolist(), strict=True)
+    ]
     return scenes.build(
         [scenes.quad(), scenes.cube()],
         [(0, scenes.placed((0, 0, 0), 80.0), 0), *blades],
@@ -58,7 +79,8 @@ def meadow(count: int = 3000, seed: int = 0) -> s.Scene:
 @pytest.mark.parametrize("build", [wall, meadow], ids=["wall", "meadow"])
 @pytest.mark.parametrize("mean", [0.01, 0.05])
 def test_scatters_of_small_things_stay_within_the_budget(build: object, mean: float) -> None:
-    """By 128 fresh paths per pixel of another seed, less two of their deviations. Without a certificate these were 20 to 250 % off, at 1 %."""
+    """By 128 fresh paths per pixel of another seed, less two of their deviations. Without a certificate these were 20
+    to 250 % off, at 1 %."""
     scene = build()  # type: ignore[operator]
     budget = Budget(mean, 5 * mean)
     result = analyze(scene, CullOptions(width=SIZE[0], max_error=budget))
@@ -78,7 +100,14 @@ def test_colours_of_equal_luminance_are_kept() -> None:
     grey = [material(base_color=float(red[0] * 0.2126)), material(base_color=tuple(red))]
     back = (0, facing((1, 0, 0), (0, -1, 0), (0, 3, 0), 40, 40), 0)
     scene = scenes.build(
-        [scenes.quad(), scenes.cube()], [back, *cubes], grey, scenes.look_at((0, -4, 0.5), (0, 0, 0.5)), None, (1, 1, 1), SIZE, s.PathLimits(total=1, diffuse=0)
+        [scenes.quad(), scenes.cube()],
+        [back, *cubes],
+        grey,
+        scenes.look_at((0, -4, 0.5), (0, 0, 0.5)),
+        None,
+        (1, 1, 1),
+        SIZE,
+        s.PathLimits(total=1, diffuse=0),
     )
     result = analyze(scene, CullOptions(width=SIZE[0], max_error=Budget(0.01, 0.05)))
     assert result.active.all()
@@ -88,7 +117,9 @@ def certified(loop: Loop, keeps: list[np.ndarray], budget: Budget, samples: int 
     """Of a sequence of sets, each unit an instance."""
     n = len(loop.activation)
     units = Units.single(np.zeros((n, TILES)))
-    return Certificate(loop, 0, np.full(TILES, samples), budget).walk([~keep for keep in keeps], units, lambda cull: ~cull)
+    return Certificate(loop, 0, np.full(TILES, samples), budget).walk(
+        [~keep for keep in keeps], units, lambda cull: ~cull
+    )
 
 
 def test_it_sees_what_was_never_built_and_agrees_with_brute_force() -> None:
@@ -100,8 +131,8 @@ def test_it_sees_what_was_never_built_and_agrees_with_brute_force() -> None:
     estimate = certificate.judge(keep)
     truth = Judge(scene, 64).change(keep)
     assert loop.activation.active.sum() > 1000  # opened for these paths
-    # 144 tiles: what is larger than 4.5 deviations comes once in a thousand runs. Changes are relative to the light of a tile, known to 6 % by 288 paths that
-    # scatter as much as they bring.
+    # 144 tiles: what is larger than 4.5 deviations comes once in a thousand runs. Changes are relative to the light of
+    # a tile, known to 6 % by 288 paths that scatter as much as they bring.
     chance = 4.5 * np.hypot(np.hypot(estimate.deviation, truth.deviation), 0.06 * truth.tiles)
     assert (np.abs(estimate.tiles - truth.tiles) <= chance).all()
     assert certificate.unknown.mean() <= 0.001 * TOLERATED
@@ -124,7 +155,16 @@ def test_what_no_path_meets_is_never_built(monkeypatch: pytest.MonkeyPatch) -> N
     back = (0, facing((1, 0, 0), (0, -1, 0), (0, 3, 0), 40, 40), 0)
     behind = [(1, scenes.placed((x, y, z), 0.1), 1) for x in range(-5, 5) for y in range(5, 15) for z in range(-5, 5)]
     look, materials = scenes.look_at((0, -8, 0.5), (0, 0, 0.5)), [material(base_color=0.7), material(base_color=0.05)]
-    scene = scenes.build([scenes.quad(), scenes.cube()], [*squares, back, *behind], materials, look, None, (1, 1, 1), SIZE, s.PathLimits(total=1, diffuse=0))
+    scene = scenes.build(
+        [scenes.quad(), scenes.cube()],
+        [*squares, back, *behind],
+        materials,
+        look,
+        None,
+        (1, 1, 1),
+        SIZE,
+        s.PathLimits(total=1, diffuse=0),
+    )
     most, build = 0, FrameTracer.build
 
     def counted(self: FrameTracer, active: np.ndarray, progress: Progress = silent) -> Tlas:
@@ -158,14 +198,17 @@ def test_it_stops_where_the_budget_may_break_and_goes_on_for_other_tiles(first: 
     worth = np.zeros((n, TILES))
     worth[3] = np.abs(Judge(scene, 16).change(np.arange(n) != 3).tiles)
     loop.include(keeps[0])
-    verdict = Certificate(loop, 0, np.full(TILES, 16), Budget(0.05, 0.2)).walk([~keep for keep in keeps], Units.single(worth), lambda cull: ~cull)
+    verdict = Certificate(loop, 0, np.full(TILES, 16), Budget(0.05, 0.2)).walk(
+        [~keep for keep in keeps], Units.single(worth), lambda cull: ~cull
+    )
     assert verdict.cull is not None
     assert np.flatnonzero(verdict.cull).tolist() == [1, 2, 4]
     assert verdict.estimate.surely_holds(Budget(0.05, 0.2))
 
 
 def test_where_builds_are_limited_what_is_left_out_counts() -> None:
-    """Bytes for a part of the meadow only: the rest stays boxes, what paths carry through them is charged, and that is said."""
+    """Bytes for a part of the meadow only: the rest stays boxes, what paths carry through them is charged, and that is
+    said."""
     scene = wall()
     options = CullOptions(width=SIZE[0], max_error=Budget(0.01, 0.05))
     whole = analyze(scene, options)

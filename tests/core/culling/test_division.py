@@ -1,4 +1,5 @@
-"""Large meshes by parts: all of a mesh is in its parts, paths ask for them, and what nobody asks for is neither built nor read."""
+"""Large meshes by parts: all of a mesh is in its parts, paths ask for them, and what nobody asks for is neither built
+nor read."""
 
 from __future__ import annotations
 
@@ -26,15 +27,22 @@ FLAGS = np.uint8(s.ALL_RAYS | s.InstanceFlag.DIVISIBLE)
 
 
 def grid(side: int, quads: bool = True) -> Mesh:
-    """A unit square in the xy plane of side x side squares with a little relief, of two triangles each, which are one face where quads says so."""
+    """A unit square in the xy plane of side x side squares with a little relief, of two triangles each, which are one
+    face where quads says so."""
     x, y = (c.ravel() for c in np.meshgrid(*2 * [np.linspace(-1, 1, side + 1)], indexing="ij"))
     positions = np.stack([x, y, 0.02 * np.sin(9 * x) * np.cos(7 * y)], axis=1).astype(np.float32)
     corner = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
-    triangles = np.stack([corner, corner + side + 1, corner + side + 2, corner, corner + side + 2, corner + 1], axis=1).reshape(-1, 3).astype(np.uint32)
+    triangles = (
+        np.stack([corner, corner + side + 1, corner + side + 2, corner, corner + side + 2, corner + 1], axis=1)
+        .reshape(-1, 3)
+        .astype(np.uint32)
+    )
     return Mesh(positions, triangles, faces=np.arange(len(triangles), dtype=np.int32) // 2 if quads else None)
 
 
-def terrain(flags: np.uint8 = FLAGS, side: int = 100, emission: float = 0.0, meshes: Sequence[Mesh] | None = None) -> s.Scene:
+def terrain(
+    flags: np.uint8 = FLAGS, side: int = 100, emission: float = 0.0, meshes: Sequence[Mesh] | None = None
+) -> s.Scene:
     """A camera near the ground of a terrain of one mesh, and a cube on it that is too small to be divided."""
     return scenes.build(
         list(meshes or [grid(side), scenes.cube()]),
@@ -104,7 +112,9 @@ def test_a_terrain_keeps_the_budget_by_few_of_its_triangles() -> None:
 
 
 def test_parts_are_the_same_at_any_number_of_threads() -> None:
-    one, two = (analyze(terrain(), CullOptions(width=SIZE[0], parts=True, threads=threads)).faces[0] for threads in (1, 2))
+    one, two = (
+        analyze(terrain(), CullOptions(width=SIZE[0], parts=True, threads=threads)).faces[0] for threads in (1, 2)
+    )
     assert np.array_equal(one, two)
 
 

@@ -19,8 +19,9 @@ FLOOR, MIRROR, SEEN, REFLECTED, BEHIND_MIRROR, CASTER, UNDERGROUND = range(7)
 
 
 def stage() -> s.Scene:
-    """Looking along +Y at a mirror that faces the camera: one cube ahead, one behind the camera that the mirror shows, one behind the mirror, one high up
-    beside the picture that throws its shadow into it, and a crowd of cubes under the floor."""
+    """Looking along +Y at a mirror that faces the camera: one cube ahead, one behind the camera that the mirror shows,
+    one behind the mirror, one high up beside the picture that throws its shadow into it, and a crowd of cubes under the
+    floor."""
     grey, mirror = s.default_material(), s.default_material()
     mirror["metallic"], mirror["roughness"], mirror["base_color"] = 1.0, 0.0, 0.95
     upright = np.array([[16, 0, 0, 0], [0, 0, -1, 6], [0, 12, 0, 6]], np.float32)  # a quad in the XZ plane, facing -Y
@@ -36,7 +37,14 @@ def stage() -> s.Scene:
     placement += [(2, scenes.placed((*rng.uniform(-25, 25, 2), rng.uniform(-9, -2))), 0) for _ in range(3000)]
     sun = np.zeros(1, s.LIGHT)
     toward = np.array([1.0, 0.0, 1.0]) / np.sqrt(2)
-    sun["kind"], sun["power"], sun["angle"], sun["cast_shadow"], sun["normalize"], sun["use_mis"] = s.LightKind.SUN, 3.0, 0.01, 1, 1, 1
+    sun["kind"], sun["power"], sun["angle"], sun["cast_shadow"], sun["normalize"], sun["use_mis"] = (
+        s.LightKind.SUN,
+        3.0,
+        0.01,
+        1,
+        1,
+        1,
+    )
     sun["visibility"], sun["max_bounces"] = s.ALL_RAYS, 1024
     sun["axis_z"], sun["axis_x"], sun["axis_y"] = toward, (0, 1, 0), np.cross(toward, (0, 1, 0))
     return scenes.build(
@@ -127,10 +135,20 @@ def test_states_and_hits_do_not_depend_on_threads(threads: int) -> None:
 def test_an_unseen_emitter_that_lights_the_picture_stays() -> None:
     lamp = s.default_material()
     lamp["emission"] = 50.0
-    placement = [(1, scenes.placed((0, 0, 0), 40.0), 0), (1, scenes.placed((0, -9, 6), 2.0), 1), (1, scenes.placed((0, 0, -50)), 1)]
+    placement = [
+        (1, scenes.placed((0, 0, 0), 40.0), 0),
+        (1, scenes.placed((0, -9, 6), 2.0), 1),
+        (1, scenes.placed((0, 0, -50)), 1),
+    ]
     facing_down = placement[1][1]
     facing_down[:, :3] *= np.array([1, -1, -1])
-    scene = scenes.build([scenes.cube(), scenes.quad()], placement, [s.default_material(), lamp], scenes.look_at((0, -8, 2), (0, 0, 0)), world=(0, 0, 0))
+    scene = scenes.build(
+        [scenes.cube(), scenes.quad()],
+        placement,
+        [s.default_material(), lamp],
+        scenes.look_at((0, -8, 2), (0, 0, 0)),
+        world=(0, 0, 0),
+    )
     result = analyze(scene, CullOptions(paths=8))
     assert result.state.tolist() == [State.ACTIVE, State.ACTIVE, State.CULLED]
     assert result.hits[1, s.RayType.CAMERA] == 0
@@ -152,7 +170,11 @@ def test_cancel_stops_the_work() -> None:
         analyze(stage(), OPTIONS, cancelled=lambda: next(calls, True))
 
 
-@pytest.mark.parametrize("options", [CullOptions(width=160), OPTIONS, CullOptions(policy="distance", setting=0.1)], ids=["budget", "counts", "distance"])
+@pytest.mark.parametrize(
+    "options",
+    [CullOptions(width=160), OPTIONS, CullOptions(policy="distance", setting=0.1)],
+    ids=["budget", "counts", "distance"],
+)
 def test_what_is_pinned_stays(options: CullOptions) -> None:
     scene = stage()
     pinned = np.zeros(len(scene.instances), bool)

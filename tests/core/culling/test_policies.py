@@ -73,14 +73,18 @@ def test_frustum_of_an_orthographic_camera_is_a_box() -> None:
 
 def test_distance_is_to_the_nearest_point_of_the_box() -> None:
     camera = scenes.look_at((0, 0, 0), (0, 1, 0))
-    scene = scenes.build([scenes.cube()], [(0, scenes.placed((10, 0, 0), 2.0), 0), (0, scenes.placed((10, 0, 0), 1.0), 0)], camera=camera)
+    scene = scenes.build(
+        [scenes.cube()], [(0, scenes.placed((10, 0, 0), 2.0), 0), (0, scenes.placed((10, 0, 0), 1.0), 0)], camera=camera
+    )
     assert keep_distance(scene, 9.25).tolist() == [True, False]
     assert keep_distance(scene, 9.75).tolist() == [True, True]
 
 
 def test_solid_angle_is_size_over_distance() -> None:
     camera = scenes.look_at((0, 0, 0), (0, 1, 0))
-    scene = scenes.build([scenes.cube()], [(0, scenes.placed((0, 100, 0), scale), 0) for scale in (1.0, 2.0, 400.0)], camera=camera)
+    scene = scenes.build(
+        [scenes.cube()], [(0, scenes.placed((0, 100, 0), scale), 0) for scale in (1.0, 2.0, 400.0)], camera=camera
+    )
     radius = np.sqrt(3) / 2
     angle = 2 * np.degrees(np.arcsin(radius / 100))
     assert keep_solid_angle(scene, angle * 1.01).tolist() == [False, True, True]
@@ -102,14 +106,20 @@ def test_rules_keep_more_and_more_along_their_ladder(policy: Policy) -> None:
     assert all((~a | b).all() for a, b in itertools.pairwise(sets))
     assert sets[0].sum() < sets[-1].sum()
     assert CullOptions(policy=policy.name).rule(scene).tolist() == policy.keep(scene, policy.setting.default).tolist()
-    assert CullOptions(policy=policy.name, setting=policy.setting.default / 3).rule(scene).tolist() == policy.keep(scene, policy.setting.default / 3).tolist()
+    assert (
+        CullOptions(policy=policy.name, setting=policy.setting.default / 3).rule(scene).tolist()
+        == policy.keep(scene, policy.setting.default / 3).tolist()
+    )
 
 
 def test_the_registry_finds_every_policy_and_numbers_them() -> None:
-    names = [path.stem for path in Path(policies.__file__).parent.glob("*.py") if path.stem not in ("__init__", "policy")]
+    names = [
+        path.stem for path in Path(policies.__file__).parent.glob("*.py") if path.stem not in ("__init__", "policy")
+    ]
     assert len(POLICIES) == len(names)
     assert len({policy.rank for policy in POLICIES.values()}) == len(POLICIES)
-    assert [POLICIES[name].rank for name in ("light-paths", "frustum", "distance", "solid-angle")] == [0, 1, 2, 3]  # what saved files hold
+    # what saved files hold
+    assert [POLICIES[name].rank for name in ("light-paths", "frustum", "distance", "solid-angle")] == [0, 1, 2, 3]
     assert CullOptions(policy=NOTHING).rule(scattered(scenes.look_at((3, -20, 5), (0, 0, 0)))).all()
 
 

@@ -1,4 +1,5 @@
-"""A shot's frames are what each would be alone, up to the stated hysteresis; what is settled stays; memory is flat; pending ones come."""
+"""A shot's frames are what each would be alone, up to the stated hysteresis; what is settled stays; memory is flat;
+pending ones come."""
 
 from __future__ import annotations
 
@@ -46,7 +47,8 @@ WALLS, POLES = 12, 60
 
 
 def frame_of(frame: int, poles: int = POLES) -> s.Scene:
-    """Poles that sway and drift, each a mesh of its own, among walls; a camera that moves along. Rows: floor, walls, poles."""
+    """Poles that sway and drift, each a mesh of its own, among walls; a camera that moves along. Rows: floor, walls,
+    poles."""
     rng = np.random.default_rng(1)
     placement = [(1, scenes.placed((0, 0, 0), 80.0), 0)]
     for _ in range(WALLS):
@@ -57,7 +59,13 @@ def frame_of(frame: int, poles: int = POLES) -> s.Scene:
         placement.append((2 + k, scenes.placed((x + 0.1 * frame, y, 0)), 0))
         meshes.append(pole(0.3 * frame + k))
     camera = scenes.look_at((-6 + 0.4 * frame, -16, 2.0), (-6 + 0.4 * frame, 0, 1.0))
-    return scenes.build(meshes, placement, camera=camera, size=(96, 54), limits=s.PathLimits(total=2, diffuse=1, glossy=1, transmission=0))
+    return scenes.build(
+        meshes,
+        placement,
+        camera=camera,
+        size=(96, 54),
+        limits=s.PathLimits(total=2, diffuse=1, glossy=1, transmission=0),
+    )
 
 
 def all_deform(poles: int = POLES) -> Change:
@@ -69,24 +77,36 @@ def all_deform(poles: int = POLES) -> Change:
 def assert_as_alone(shot: Shot, result: CullingResult, scene: s.Scene, options: CullOptions = OPTIONS) -> None:
     """States and hits of a shot's last frame are those of a fresh start of it, repeated until it is at rest.
 
-    Hits: what is built in one of the two alone, a few paths meet: fewer than COLD_HITS of a round's cross its box, so some times that of a measurement's, twice
-    as many, may meet it. All other paths take the same course, to the last hit; but where other emitters are built, other shadow rays are traced, and blocked.
-    Where two surfaces coincide the structure decides which is met: then as many hits of each kind are there, and every path is as bright, to the last bit.
-    States: by counts, what clearly passes the bound is active, what clearly fails both bounds, that of hysteresis too, is culled. Clearly: by COLD_HITS hits,
-    and as many for paths that took another course.
+    Hits: what is built in one of the two alone, a few paths meet: fewer than COLD_HITS of a round's cross its box, so
+    some times that of a measurement's, twice as many, may meet it. All other paths take the same course, to the last
+    hit; but where other emitters are built, other shadow rays are traced, and blocked. Where two surfaces coincide the
+    structure decides which is met: then as many hits of each kind are there, and every path is as bright, to the last
+    bit. States: by counts, what clearly passes the bound is active, what clearly fails both bounds, that of hysteresis
+    too, is culled. Clearly: by COLD_HITS hits, and as many for paths that took another course.
     """
     fresh = Shot(options)
     before, alone = None, fresh.advance(scene)
     while before is None or (alone.hits != before.hits).any():
         before, alone = alone, fresh.advance(scene, STILL)
-    assert shot.loop is not None and shot.loop.measured is not None and fresh.loop is not None and fresh.loop.measured is not None
+    assert (
+        shot.loop is not None
+        and shot.loop.measured is not None
+        and fresh.loop is not None
+        and fresh.loop.measured is not None
+    )
     met, mine, theirs = alone.hits.sum(axis=1), shot.loop.measured.tlas.ids, fresh.loop.measured.tlas.ids
-    lacking = np.concatenate([result.hits[np.setdiff1d(mine, theirs)].sum(axis=1), alone.hits[np.setdiff1d(theirs, mine)].sum(axis=1)])
+    lacking = np.concatenate(
+        [result.hits[np.setdiff1d(mine, theirs)].sum(axis=1), alone.hits[np.setdiff1d(theirs, mine)].sum(axis=1)]
+    )
     assert lacking.max(initial=0) < 6 * COLD_HITS
     same_emitters = not np.isin(np.setxor1d(mine, theirs), fresh.loop.tracer.prepared.emissive).any()
     kinds = slice(None) if same_emitters else slice(s.RayType.SHADOW)
     of_a_path = 2 * (scene.limits.total + 1)  # a hit and a shadow ray at every bounce
-    other, a, b = (result.hits - alone.hits)[:, kinds], shot.loop.measured.log.luminance, fresh.loop.measured.log.luminance
+    other, a, b = (
+        (result.hits - alone.hits)[:, kinds],
+        shot.loop.measured.log.luminance,
+        fresh.loop.measured.log.luminance,
+    )
     tied = not other.sum(axis=0).any() and np.array_equal(a, b)
     assert tied or np.abs(other).sum() <= 2 * of_a_path * lacking.sum()
     assert options.min_share is not None
@@ -124,7 +144,10 @@ def test_instances_come_go_and_change_places() -> None:
         common, at, was = np.intersect1d(kept, rows, return_indices=True)
         previous[at] = was
         assert len(common) < len(kept) or len(rows) == len(full.instances)
-        scene = dataclasses.replace(full, instances=s.Instances(*(getattr(full.instances, f.name)[kept] for f in dataclasses.fields(s.Instances))))
+        scene = dataclasses.replace(
+            full,
+            instances=s.Instances(*(getattr(full.instances, f.name)[kept] for f in dataclasses.fields(s.Instances))),
+        )
         result = shot.advance(scene, Change(previous, previous < 0, NONE, NONE, False, False))
         assert_as_alone(shot, result, scene)
         rows = kept
@@ -136,7 +159,9 @@ def test_other_triangles_in_a_mesh_are_seen() -> None:
     shot.advance(first)
     cubes = [*first.meshes[:2], *[scenes.cube()] * POLES]
     bounds = np.stack([np.stack([m.positions.min(axis=0), m.positions.max(axis=0)]) for m in cubes]).astype(np.float32)
-    instances = dataclasses.replace(first.instances, bounds=s.world_bounds(first.instances.transform, bounds, first.instances.mesh))
+    instances = dataclasses.replace(
+        first.instances, bounds=s.world_bounds(first.instances.transform, bounds, first.instances.mesh)
+    )
     second = dataclasses.replace(first, meshes=cubes, mesh_bounds=bounds, instances=instances)
     change = all_deform()
     result = shot.advance(second, dataclasses.replace(change, deformed=NONE, replaced=change.deformed, camera=False))
@@ -149,7 +174,8 @@ def test_what_is_settled_stays_over_two_hundred_frames() -> None:
     options = dataclasses.replace(OPTIONS, width=64, paths=2)
     shot = Shot(options)
     shot.advance(scene)
-    seen = [shot.advance(scene, STILL if k % 2 else CAMERA) for k in range(200)]  # also where every frame says that something changed
+    # also where every frame says that something changed
+    seen = [shot.advance(scene, STILL if k % 2 else CAMERA) for k in range(200)]
     for late in seen[20:]:
         np.testing.assert_array_equal(late.state, seen[20].state)
         np.testing.assert_array_equal(late.hits, seen[20].hits)
@@ -158,7 +184,9 @@ def test_what_is_settled_stays_over_two_hundred_frames() -> None:
     assert sum(rounds) <= 1.1 * len(rounds)  # here and there a region is tried again, less and less often
 
 
-@pytest.mark.parametrize("options", [OPTIONS, CullOptions(width=96, paths=4, max_error=Budget(0.02, 0.2))], ids=["counts", "budget"])
+@pytest.mark.parametrize(
+    "options", [OPTIONS, CullOptions(width=96, paths=4, max_error=Budget(0.02, 0.2))], ids=["counts", "budget"]
+)
 def test_hysteresis_lets_fewer_states_change(options: CullOptions) -> None:
     changes = []
     for hysteresis in (1.0, 4.0):
@@ -224,7 +252,12 @@ def turn(frame: int) -> s.Scene:
     scene = frame_of(0)
     target = (6.0, -16.0, 2.0) if frame >= 2 else (-6.0, 0.0, 1.0)
     placement = scene.instances
-    instances = s.Instances(*(np.concatenate([getattr(placement, f.name), getattr(placement, f.name)[1:2]]) for f in dataclasses.fields(s.Instances)))
+    instances = s.Instances(
+        *(
+            np.concatenate([getattr(placement, f.name), getattr(placement, f.name)[1:2]])
+            for f in dataclasses.fields(s.Instances)
+        )
+    )
     instances.transform[-1] = scenes.placed((4.0, -16.0, 2.0), 2.0)
     instances.bounds[-1] = [[3, -17, 1], [5, -15, 3]]
     return dataclasses.replace(scene, instances=instances, camera=scenes.look_at((-6, -16, 2.0), target))
@@ -261,7 +294,10 @@ def test_threads_change_nothing() -> None:
             np.testing.assert_array_equal(a, c)
 
 
-@pytest.mark.parametrize("options", [CullOptions(width=96, paths=4), CullOptions(policy="distance", setting=12.0), CullOptions(policy="none")])
+@pytest.mark.parametrize(
+    "options",
+    [CullOptions(width=96, paths=4), CullOptions(policy="distance", setting=12.0), CullOptions(policy="none")],
+)
 def test_other_policies_follow_too(options: CullOptions) -> None:
     shot = Shot(options)
     for frame in range(3):
@@ -277,8 +313,9 @@ def test_other_policies_follow_too(options: CullOptions) -> None:
 
 
 def test_a_picture_of_nothing_is_none() -> None:
-    """A white cube under a white sky, which is all there is, is as bright as what is behind it. That no path tells them apart says little, for materials are
-    known approximately: it stays, but not where memory is limited. Beside other things it goes."""
+    """A white cube under a white sky, which is all there is, is as bright as what is behind it. That no path tells them
+    apart says little, for materials are known approximately: it stays, but not where memory is limited. Beside other
+    things it goes."""
     white = scenes.material(base_color=(1.0, 1.0, 1.0))
     grey = scenes.material(base_color=(0.1, 0.1, 0.1))
     alone = scenes.build([scenes.cube()], [(0, scenes.placed((0, 0, 0)), 0)], [white])

@@ -12,7 +12,8 @@ from .. import scenes
 
 
 def test_against_a_plain_search() -> None:
-    """Groups of boxes that are the same to the last bit, with zeros of either sign; what is a bit elsewhere is another."""
+    """Groups of boxes that are the same to the last bit, with zeros of either sign; what is a bit elsewhere is
+    another."""
     rng = np.random.default_rng(0)
     some = rng.integers(-1, 2, (40, 2, 3)).astype(np.float32)
     boxes = some[rng.integers(0, 40, 500)]

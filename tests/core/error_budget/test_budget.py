@@ -55,7 +55,8 @@ def test_a_zero_budget_keeps_all_that_is_worth_anything() -> None:
 def test_a_shared_blas_is_counted_once() -> None:
     savings = budget.Savings.among(np.array([0, 0, 0, 0, 1]), np.array([4000, 1000]))
     assert savings.share.sum() == pytest.approx(5000 + 5 * budget.ENTRY_BYTES)
-    for stay, left in (([False, False, False, True, True], 5000), ([True, True, False, False, False], 4000)):  # fewer share it, each more of it
+    # fewer share it, each more of it
+    for stay, left in (([False, False, False, True, True], 5000), ([True, True, False, False, False], 4000)):
         rest = savings.among_these(np.array(stay))
         assert rest.share.sum() == pytest.approx(left + 2 * budget.ENTRY_BYTES)
 

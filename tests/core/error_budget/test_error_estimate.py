@@ -47,7 +47,8 @@ def test_a_shade_is_its_share_of_the_light() -> None:
 
 
 def test_colours_of_equal_luminance_count() -> None:
-    """Red and green for grey of the same luminance: nothing by luminance, the distance of the colours by the definition."""
+    """Red and green for grey of the same luminance: nothing by luminance, the distance of the colours by the
+    definition."""
     log = full()
     other = log.color.copy()
     other[..., 0], other[..., 1] = 1 + 0.5 / LUMINANCE[0], 1 - 0.5 / LUMINANCE[1]
@@ -68,8 +69,8 @@ def test_a_pattern_for_its_mean_counts() -> None:
 
 
 def test_a_deviation_is_that_of_repetitions() -> None:
-    """Paths that differ at random: the deviation that one measurement states is that of the scatter of many, within a fifth (40 x 144 tiles: a few per
-    cent).
+    """Paths that differ at random: the deviation that one measurement states is that of the scatter of many, within a
+    fifth (40 x 144 tiles: a few per cent).
     """
     rng = np.random.default_rng(3)
     log = full(8)
@@ -86,8 +87,9 @@ def test_a_deviation_is_that_of_repetitions() -> None:
 @pytest.mark.parametrize("change", [0.0, 0.02, 0.05, 0.1, 0.3])
 @pytest.mark.parametrize("share", [1.0, 0.1])
 def test_many_changes_below_the_noise_add_up(change: float, share: float) -> None:
-    """A share of the blocks change by so much, up or down, under noise of 8 paths a pixel that is as large as the light: 12 % of a block, 6 % of a tile. The
-    mean of the tiles is not taken for smaller than it is, whether or not any single one shows it; a set without noise is measured exactly."""
+    """A share of the blocks change by so much, up or down, under noise of 8 paths a pixel that is as large as the
+    light: 12 % of a block, 6 % of a tile. The mean of the tiles is not taken for smaller than it is, whether or not any
+    single one shows it; a set without noise is measured exactly."""
     rng = np.random.default_rng(8)
     log = full(8)
     y, x = np.arange(HEIGHT) // BLOCK, np.arange(WIDTH) // BLOCK
@@ -101,7 +103,8 @@ def test_many_changes_below_the_noise_add_up(change: float, share: float) -> Non
 
 
 def test_what_pixels_share_is_no_noise() -> None:
-    """Half of the pixels lose all their light, in every path: by pixel nothing is left to chance, but for what no path showed."""
+    """Half of the pixels lose all their light, in every path: by pixel nothing is left to chance, but for what no path
+    showed."""
     log = full(4)
     other = log.color.copy()
     other[:, ::2] = 0
@@ -117,7 +120,8 @@ def test_one_sample_has_two_halves_too() -> None:
 
 
 def test_upper_ends_are_those_of_normal_errors() -> None:
-    """One uncertain tile among certain ones: its own quantile. All alike: that of the largest of them. Coverage over 4,000 draws within 3 standard errors."""
+    """One uncertain tile among certain ones: its own quantile. All alike: that of the largest of them. Coverage over
+    4,000 draws within 3 standard errors."""
     one = certain(np.full(TILES, 0.01), np.where(np.arange(TILES) == 7, 0.002, 0.0))
     assert one.upper_worst(0.95) == pytest.approx(0.01 + NormalDist().inv_cdf(0.95) * 0.002, rel=1e-6)
     assert one.upper_mean(0.95) == pytest.approx(0.01 + NormalDist().inv_cdf(0.95) * 0.002 / TILES, rel=1e-6)
@@ -125,7 +129,10 @@ def test_upper_ends_are_those_of_normal_errors() -> None:
     assert alike.upper_worst(0.95) == pytest.approx(0.01 + NormalDist().inv_cdf(0.95 ** (1 / TILES)) * 0.002, rel=1e-6)
     rng = np.random.default_rng(1)
     truth, deviation = rng.uniform(0, 0.05, TILES), rng.uniform(0.001, 0.01, TILES)
-    held = [certain(truth + deviation * rng.standard_normal(TILES), deviation).upper_worst(0.9) >= truth.max() for _ in range(4000)]
+    held = [
+        certain(truth + deviation * rng.standard_normal(TILES), deviation).upper_worst(0.9) >= truth.max()
+        for _ in range(4000)
+    ]
     assert np.mean(held) > 0.9 - 3 * np.sqrt(0.09 / 4000)
 
 
@@ -135,7 +142,11 @@ def test_what_is_owed_counts() -> None:
     found = estimate(full(), full().color, owed)
     assert (found.worst, found.upper_worst()) == (0.02, 0.02)
     assert found.mean == pytest.approx(0.02 / TILES)
-    assert found.surely_holds(Budget(0.001, 0.02)) and not found.surely_holds(Budget(0.001, 0.019)) and not found.surely_holds(Budget(1e-4, 1.0))
+    assert (
+        found.surely_holds(Budget(0.001, 0.02))
+        and not found.surely_holds(Budget(0.001, 0.019))
+        and not found.surely_holds(Budget(1e-4, 1.0))
+    )
 
 
 def test_more_paths_are_for_tiles_in_doubt_and_full_ones_are_named() -> None:
@@ -159,7 +170,10 @@ def test_several_looks_are_one_sample() -> None:
     both = PathLog(log.records[:, :, :4], log.color[:, :, :4]), PathLog(log.records[:, :, 4:], log.color[:, :, 4:])
     references = [Reference(part) for part in both]
     total = sum(
-        (r.compare(np.ones(part.shape, np.uint8), color, part, r.nothing) for r, part, color in zip(references[1:], both[1:], [other[:, :, 4:]], strict=True)),
+        (
+            r.compare(np.ones(part.shape, np.uint8), color, part, r.nothing)
+            for r, part, color in zip(references[1:], both[1:], [other[:, :, 4:]], strict=True)
+        ),
         references[0].compare(np.ones(both[0].shape, np.uint8), other[:, :, :4], both[0], references[0].nothing),
     )
     joined, whole = Light.of(*references).estimate(total), estimate(log, other)

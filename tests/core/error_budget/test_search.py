@@ -50,7 +50,9 @@ def test_paths_that_met_nothing_culled_do_not_change(measured: tuple[Loop, Measu
     assert 0 < only.mean() < 1
     everything = loop.tracer.trace_paths(keep, m.traced[0].first_sample, np.ones_like(only))[1]
     np.testing.assert_array_equal(everything[only == 0], m.log.color[only == 0])
-    np.testing.assert_array_equal(loop.tracer.trace_paths(keep, m.traced[0].first_sample, only)[1][only == 1], everything[only == 1])
+    np.testing.assert_array_equal(
+        loop.tracer.trace_paths(keep, m.traced[0].first_sample, only)[1][only == 1], everything[only == 1]
+    )
     assert (everything[only == 1] != m.log.color[only == 1]).any()
 
 
@@ -61,14 +63,19 @@ def test_affected_against_a_plain_search() -> None:
     log.records[..., 0] = rng.integers(0, RECORD + 1, log.luminance.shape)
     culled = rng.random(40) < 0.1
     records = log.records.reshape(-1, RECORD)
-    expected = [count == RECORD or culled[list(met[:count])].any() for count, met in zip(records[:, 0], records[:, 1:], strict=True)]
+    expected = [
+        count == RECORD or culled[list(met[:count])].any()
+        for count, met in zip(records[:, 0], records[:, 1:], strict=True)
+    ]
     assert log.affected(culled).ravel().tolist() == [int(x) for x in expected]
 
 
 def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
-    """Culling a set in three steps, each tracing only what it changes: colours, records and changes as of a trace of every path without the whole set."""
+    """Culling a set in three steps, each tracing only what it changes: colours, records and changes as of a trace of
+    every path without the whole set."""
     loop, m = measured
-    reference, log, after = Reference(m.log), everything_of(m.log), everything_of(m.log)  # what a trial's log held before does not matter
+    # what a trial's log held before does not matter
+    reference, log, after = Reference(m.log), everything_of(m.log), everything_of(m.log)
     difference = reference.nothing
     culled = np.zeros(len(m.tlas.ids), bool)
     for seed in range(3):
@@ -82,7 +89,9 @@ def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
         log.update(only, after)
         culled |= more
         everything = PathLog.zeros(*only.shape)
-        loop.tracer.trace_without(m.tlas, m.traced[0].first_sample, keep, loop.tracer.build(keep), np.ones_like(only), everything)
+        loop.tracer.trace_without(
+            m.tlas, m.traced[0].first_sample, keep, loop.tracer.build(keep), np.ones_like(only), everything
+        )
         np.testing.assert_array_equal(log.color, everything.color)
         entries = np.arange(RECORD) <= np.minimum(log.records[..., :1], RECORD - 1)  # what is behind them is nobody's
         np.testing.assert_array_equal(np.where(entries, log.records, 0), np.where(entries, everything.records, 0))
@@ -93,7 +102,8 @@ def test_step_by_step_is_as_at_once(measured: tuple[Loop, Measurement]) -> None:
 
 
 def test_a_difference_is_put_down_to_what_the_path_met_first() -> None:
-    """Two paths meet entry 1, one of them after entry 0 and so for 0's account; entry 2 is not culled and has no row. Units are entries here."""
+    """Two paths meet entry 1, one of them after entry 0 and so for 0's account; entry 2 is not culled and has no row.
+    Units are entries here."""
     log = PathLog.zeros(9, 16, 2)
     log.color[:] = 0.5
     log.records[0, 0, 0, :3], log.records[0, 0, 1, :3], log.records[0, 1, 0, :4] = (2, 2, 1), (1, 1, 0), (3, 2, 0, 1)
@@ -105,7 +115,8 @@ def test_a_difference_is_put_down_to_what_the_path_met_first() -> None:
     change, squares = np.zeros((2, 2, TILES))
     change[1, 0], squares[1, 0] = 2 * -0.25, 2 * 0.25**2
     change[0, 1], squares[0, 1] = -0.25, 0.25**2
-    np.testing.assert_allclose(found, (change, squares), atol=1e-7)  # a tile has two paths, of luminance 1 together; its weights sum to 1 in float32
+    # a tile has two paths, of luminance 1 together; its weights sum to 1 in float32
+    np.testing.assert_allclose(found, (change, squares), atol=1e-7)
 
 
 def test_a_search_goes_on_from_what_was_culled_before() -> None:
@@ -139,7 +150,13 @@ class Additive:
         return PathLog(self.log.records, np.where(only[..., None] == 1, np.float32(0.9), self.log.color))
 
     def search(self, worth: np.ndarray, savings: Savings, budget: Budget, **more: Any) -> Search:
-        return Search([Trial(Reference(self.log), everything_of(self.log), self.without)], Units.single(worth), savings, budget, **more)
+        return Search(
+            [Trial(Reference(self.log), everything_of(self.log), self.without)],
+            Units.single(worth),
+            savings,
+            budget,
+            **more,
+        )
 
     def excess(self, cull: np.ndarray, budget: Budget) -> float:
         """Of the true change, without margin."""
@@ -151,14 +168,16 @@ class Additive:
 
 
 def test_search_spends_the_budget_and_no_more() -> None:
-    """Ten entries that are predicted to be worth ten times what they are: the search finds out, and comes near the best of all 1,024 sets."""
+    """Ten entries that are predicted to be worth ten times what they are: the search finds out, and comes near the best
+    of all 1,024 sets."""
     world = Additive(10)
     budget = Budget(0.006, 0.03)
     savings = Savings.among(np.arange(10, dtype=np.int32), np.full(10, 1000))
     worth = np.zeros((10, TILES))
     for entry in range(10):
         only = world.log.affected(np.arange(10) == entry)
-        worth[entry] = np.bincount(np.repeat(Reference(world.log).tile, 16), only.ravel(), TILES) / 256  # paths of a tile
+        # paths of a tile
+        worth[entry] = np.bincount(np.repeat(Reference(world.log).tile, 16), only.ravel(), TILES) / 256
     steps = world.search(worth, savings, budget).run()
     chosen = steps[-1]
     assert 0 < world.traced < 0.7 * world.met  # larger sets at the cost of what is new in them
@@ -172,7 +191,8 @@ def test_search_spends_the_budget_and_no_more() -> None:
 def test_what_lies_between_two_sets_is_cut_into_pieces_of_equal_worth() -> None:
     units = Units.single(np.repeat(np.arange(9.0)[:, None], TILES, axis=1))
     sets = pieces(np.arange(9) < 1, np.arange(9) < 9, units)
-    assert [int(x.sum()) for x in sets] == [4, 6, 7]  # 1 + 2 + 3 are less than a quarter of 36, with 4 and 5 less than a half
+    # 1 + 2 + 3 are less than a quarter of 36, with 4 and 5 less than a half
+    assert [int(x.sum()) for x in sets] == [4, 6, 7]
     assert pieces(np.arange(9) < 8, np.arange(9) < 9, units) == []  # one unit is one piece
 
 
@@ -189,7 +209,9 @@ def test_two_traces_are_one_measurement() -> None:
         paths = sum(trial.propose(cull) for trial in trials)
         difference = trials[0].trace() + trials[1].trace()
         assert paths == world.traced > 0
-        whole = both.compare(world.log.affected(cull), world.without(cull, world.log.affected(cull)).color, world.log, both.nothing)
+        whole = both.compare(
+            world.log.affected(cull), world.without(cull, world.log.affected(cull)).color, world.log, both.nothing
+        )
         np.testing.assert_allclose(difference.squares, whole.squares, atol=1e-9)  # sums of float64 in another order
         np.testing.assert_allclose(difference.pixels.sum(axis=0), whole.pixels.sum(axis=0), atol=1e-9)
         for trial in trials:
@@ -198,7 +220,8 @@ def test_two_traces_are_one_measurement() -> None:
 
 
 def test_sets_that_are_given_up_for_noise_are_doubted() -> None:
-    """A set whose change is half of the bound, by too few paths to be sure: the tiles that it changes are; a set that changes far too much leaves no doubt."""
+    """A set whose change is half of the bound, by too few paths to be sure: the tiles that it changes are; a set that
+    changes far too much leaves no doubt."""
     world = Additive(2)
     savings = Savings.among(np.arange(2, dtype=np.int32), np.full(2, 1000))
     worth = np.full((2, TILES), 1e-4)
@@ -235,4 +258,8 @@ def test_where_the_last_set_breaks_the_budget_another_is_searched_for() -> None:
     savings, worth = Savings.among(np.arange(10, dtype=np.int32), np.full(10, 1000)), np.full((10, TILES), 1e-4)
     budget, before = Budget(0.012, 0.3), np.arange(10) > 0
     chosen = world.search(worth, savings, budget).run()[-1]
-    assert world.search(worth, savings, budget, before=before, hysteresis=2.0).run()[-1].cull.sum() == chosen.cull.sum() > 1
+    assert (
+        world.search(worth, savings, budget, before=before, hysteresis=2.0).run()[-1].cull.sum()
+        == chosen.cull.sum()
+        > 1
+    )

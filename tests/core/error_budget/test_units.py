@@ -1,4 +1,5 @@
-"""Instances that paths have met often are judged alone, others with their neighbours, and what no path met is worth what was met once."""
+"""Instances that paths have met often are judged alone, others with their neighbours, and what no path met is worth
+what was met once."""
 
 from __future__ import annotations
 
@@ -20,11 +21,14 @@ def field(count: int) -> Regions:
 
 
 def grouped(regions: Regions, met: np.ndarray, pinned: np.ndarray | None = None, light: float = 1.0) -> Units:
-    """Units where (N,) paths met each instance; what none met is not built. Each path is worth `light` in the first tile."""
+    """Units where (N,) paths met each instance; what none met is not built. Each path is worth `light` in the first
+    tile."""
     ids = np.flatnonzero(met).astype(np.int32)
     worth = np.zeros((len(ids), TILES))
     worth[:, 0] = light * met[ids]
-    return units_of(regions, ids, met[ids].astype(np.int64), worth, np.zeros(len(met), bool) if pinned is None else pinned)
+    return units_of(
+        regions, ids, met[ids].astype(np.int64), worth, np.zeros(len(met), bool) if pinned is None else pinned
+    )
 
 
 @pytest.mark.parametrize("count", [1, 5, 8, 9, 100, 4097])
@@ -56,8 +60,8 @@ def test_where_few_are_met_but_often_the_others_are_worth_nothing_and_where_all_
 
 
 def test_what_is_charged_is_what_fresh_paths_meet_of_the_unmet() -> None:
-    """A thousand instances met with probabilities that span three decades: over 200 repetitions the charge for all that was not met is in the mean what n
-    further paths meet of it, within 4 standard errors."""
+    """A thousand instances met with probabilities that span three decades: over 200 repetitions the charge for all that
+    was not met is in the mean what n further paths meet of it, within 4 standard errors."""
     rng = np.random.default_rng(5)
     regions = field(1000)
     rate = 10 ** rng.uniform(-2, 1, 1000)
@@ -73,7 +77,8 @@ def test_what_is_charged_is_what_fresh_paths_meet_of_the_unmet() -> None:
 
 
 def test_pools_are_as_small_as_evidence_allows() -> None:
-    """In a meadow met densely the pools are the lowest regions; where a single path met anything, one pool holds all."""
+    """In a meadow met densely the pools are the lowest regions; where a single path met anything, one pool holds
+    all."""
     dense, sparse = np.full(4096, 2), np.zeros(4096, int)
     dense[::3], sparse[77] = 0, 1
     a, b = grouped(field(4096), dense), grouped(field(4096), sparse)

@@ -1,4 +1,5 @@
-"""The judge separates bias from noise, the oracle keeps its budget and no more than others, an evaluation goes on where it was stopped."""
+"""The judge separates bias from noise, the oracle keeps its budget and no more than others, an evaluation goes on where
+it was stopped."""
 
 from __future__ import annotations
 
@@ -30,7 +31,12 @@ def stage() -> s.Scene:
         (0, scenes.placed((0, 1, -3)), 0),
         (2, scenes.placed((3, 400, 60), 0.3), 0),
     ]
-    return scenes.build([scenes.cube(), scenes.quad(), scenes.sphere()], placement, size=(64, 36), limits=s.PathLimits(total=1, diffuse=1))
+    return scenes.build(
+        [scenes.cube(), scenes.quad(), scenes.sphere()],
+        placement,
+        size=(64, 36),
+        limits=s.PathLimits(total=1, diffuse=1),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +63,8 @@ def test_pairing_removes_noise(judge: Judge) -> None:
 
 
 def test_the_culled_picture_is_that_of_a_whole_trace(judge: Judge) -> None:
-    """Only paths that met something culled are traced again; the rest of the picture is the full one's. Tolerance: float32 sums in another order."""
+    """Only paths that met something culled are traced again; the rest of the picture is the full one's. Tolerance:
+    float32 sums in another order."""
     keep = without(SEEN)
     whole = judge.loop.tracer.trace_again(keep, judge.first_sample, judge.samples)
     np.testing.assert_allclose(judge.picture(keep), whole, rtol=1e-4, atol=1e-5)
@@ -68,7 +75,8 @@ def test_the_culled_picture_is_that_of_a_whole_trace(judge: Judge) -> None:
 
 
 def test_confidence_interval_covers_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
-    """20 judges of 16 paths per pixel against one of 2,048: 95 % of intervals cover it; fewer than 15 do once in 3,000 times."""
+    """20 judges of 16 paths per pixel against one of 2,048: 95 % of intervals cover it; fewer than 15 do once in 3,000
+    times."""
     keep = without(SEEN)
     truth = Judge(stage(), 2048).change(keep).tiles
     covered = 0

@@ -1,4 +1,5 @@
-"""The judge by pairs of pictures: known changes are found, noise is not taken for one, what luminance does not see colour and detail do."""
+"""The judge by pairs of pictures: known changes are found, noise is not taken for one, what luminance does not see
+colour and detail do."""
 
 from __future__ import annotations
 
@@ -10,7 +11,9 @@ from lipac.core.evaluation.paired import Change, Pairs, Range
 HEIGHT, WIDTH = 90, 160
 
 
-def judged(full: np.ndarray, other: np.ndarray, noise: float = 0.0, shared: float = 0.0, pairs: int = 2, seed: int = 0) -> dict[str, Change]:
+def judged(
+    full: np.ndarray, other: np.ndarray, noise: float = 0.0, shared: float = 0.0, pairs: int = 2, seed: int = 0
+) -> dict[str, Change]:
     """Of pairs with noise in each picture, and noise that both of a pair share."""
     rng = np.random.default_rng(seed)
     out = Pairs()
@@ -41,7 +44,8 @@ def test_a_known_change_of_one_tile_is_found(grey: np.ndarray) -> None:
 
 
 def test_noise_is_no_change_and_does_not_hide_one(grey: np.ndarray) -> None:
-    """Over many seeds: of pictures that differ by noise alone none is surely changed by more than a trifle; of a change by a tenth the range holds it."""
+    """Over many seeds: of pictures that differ by noise alone none is surely changed by more than a trifle; of a change
+    by a tenth the range holds it."""
     for seed in range(40):
         for change in judged(grey, grey, noise=0.3, seed=seed).values():
             assert change.mean.low < 1e-3

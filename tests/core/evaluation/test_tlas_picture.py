@@ -7,7 +7,17 @@ import pytest
 
 from lipac.core.evaluation.tlas_picture import ACTIVE, HITBOX, PAPER, Viewpoint, render, tlas_picture
 from lipac.core.scene.mesh import Mesh
-from lipac.core.scene.model import ALL_RAYS, LIGHT, Camera, Film, Instances, Scene, World, default_material, world_bounds
+from lipac.core.scene.model import (
+    ALL_RAYS,
+    LIGHT,
+    Camera,
+    Film,
+    Instances,
+    Scene,
+    World,
+    default_material,
+    world_bounds,
+)
 
 
 def _scene() -> Scene:
@@ -18,10 +28,24 @@ def _scene() -> Scene:
     transform = np.tile(np.eye(3, 4, dtype=np.float32), (2, 1, 1))
     transform[1, 0, 3] = 10
     index = np.zeros(2, np.int32)
-    instances = Instances(transform, index, index, np.full(2, ALL_RAYS, np.uint8), world_bounds(transform, mesh_bounds, index))
-    camera = Camera(np.eye(3, 4) + np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 5.0]]), np.array([-0.5, 0.5, -0.3, 0.3]))
+    instances = Instances(
+        transform, index, index, np.full(2, ALL_RAYS, np.uint8), world_bounds(transform, mesh_bounds, index)
+    )
+    camera = Camera(
+        np.eye(3, 4) + np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 5.0]]), np.array([-0.5, 0.5, -0.3, 0.3])
+    )
     materials = default_material().reshape(1)
-    return Scene(instances, [mesh], mesh_bounds, np.zeros(1, np.int32), materials, np.zeros(0, LIGHT), World(np.ones(3, np.float32)), camera, Film(64, 36))
+    return Scene(
+        instances,
+        [mesh],
+        mesh_bounds,
+        np.zeros(1, np.int32),
+        materials,
+        np.zeros(0, LIGHT),
+        World(np.ones(3, np.float32)),
+        camera,
+        Film(64, 36),
+    )
 
 
 DOWN = Viewpoint(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, -1.0]), 8.0, 20.0)
@@ -57,7 +81,9 @@ def test_boxes_tint_what_is_behind_them_and_have_edges() -> None:
 def test_a_box_below_geometry_is_hidden() -> None:
     box = np.array([[[-0.9, -0.9, -3], [0.9, 0.9, -1]]], np.float32)
     active = np.array([True, False])
-    np.testing.assert_array_equal(render(_scene(), active, box, DOWN, 80, 40), render(_scene(), active, box[:0], DOWN, 80, 40))
+    np.testing.assert_array_equal(
+        render(_scene(), active, box, DOWN, 80, 40), render(_scene(), active, box[:0], DOWN, 80, 40)
+    )
 
 
 @pytest.mark.parametrize("active", [[True, True], [True, False], [False, False]])

@@ -23,8 +23,14 @@ def pictures(folder: Path) -> list[Path]:
     from matplotlib.image import imsave
 
     pixels = np.random.default_rng(0).random((45, 31, 3), np.float32)
-    for name, compression in (("zip", OpenEXR.ZIP_COMPRESSION), ("none", OpenEXR.NO_COMPRESSION), ("piz", OpenEXR.PIZ_COMPRESSION)):
-        OpenEXR.File({"compression": compression, "type": OpenEXR.scanlineimage}, {"RGB": pixels}).write(str(folder / f"{name}.exr"))
+    for name, compression in (
+        ("zip", OpenEXR.ZIP_COMPRESSION),
+        ("none", OpenEXR.NO_COMPRESSION),
+        ("piz", OpenEXR.PIZ_COMPRESSION),
+    ):
+        OpenEXR.File({"compression": compression, "type": OpenEXR.scanlineimage}, {"RGB": pixels}).write(
+            str(folder / f"{name}.exr")
+        )
     imsave(folder / "p.png", pixels)
     np.savez(folder / "s.npz", a=pixels)
     (folder / "r.json").write_text(TEXT)
@@ -64,7 +70,8 @@ def test_a_half_file_does_not_take_the_name(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="links")
 def test_links_and_what_has_our_names_are_left_alone(tmp_path: Path) -> None:
-    """Neither what a link points to nor a file that the user has given such a name is written to; a link in the place of the target is replaced itself."""
+    """Neither what a link points to nor a file that the user has given such a name is written to; a link in the place
+    of the target is replaced itself."""
     precious = tmp_path / "precious"
     precious.write_text("mine")
     folder = tmp_path / "out"
@@ -98,7 +105,10 @@ for k in range(150):
 
 
 def test_processes_with_one_target_do_not_fail_each_other(tmp_path: Path) -> None:
-    processes = [subprocess.Popen([sys.executable, "-c", MANY, str(tmp_path)], stderr=subprocess.PIPE, text=True) for _ in range(3)]
+    processes = [
+        subprocess.Popen([sys.executable, "-c", MANY, str(tmp_path)], stderr=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
     while any(p.poll() is None for p in processes):
         sweep(tmp_path, {"x"})  # as a fourth command that begins
     assert [p.communicate()[1] for p in processes] == [""] * 3

@@ -22,11 +22,26 @@ def report():
 
 def test_file_follows_the_contract(tmp_path):
     r = report()
-    r.add_frame({"frame": 1, "instances": np.int64(5), "render_s": 2.0, "paths": 10, "blas_bytes": 7, "error": {"flip": 0.1}}, ("a",), ("w",))
+    r.add_frame(
+        {"frame": 1, "instances": np.int64(5), "render_s": 2.0, "paths": 10, "blas_bytes": 7, "error": {"flip": 0.1}},
+        ("a",),
+        ("w",),
+    )
     r.add_frame({"frame": 2, "render_s": 3.0, "paths": 20, "blas_bytes": 5}, ("a", "b"), ())
     r.write(tmp_path)
     data = json.loads((tmp_path / "report.json").read_text())
-    assert list(data)[:10] == ["schema", "scene", "blender", "lipac", "policy", "engine", "seed", "threads", "frames", "totals"]
+    assert list(data)[:10] == [
+        "schema",
+        "scene",
+        "blender",
+        "lipac",
+        "policy",
+        "engine",
+        "seed",
+        "threads",
+        "frames",
+        "totals",
+    ]
     assert data["schema"] == 1
     assert set(FIELDS) <= set(data["frames"][1])
     assert data["frames"][0]["instances"] == 5
@@ -67,7 +82,11 @@ def test_states_come_back(tmp_path):
     keys["path"] = -1
     keys["path"][:, :2] = rng.integers(0, 9, (n, 2))
     keys["kind"], keys["host"], keys["object"] = rng.integers(0, 5, n), rng.integers(-1, 2, n), rng.integers(-1, 2, n)
-    state, score, hits = rng.integers(0, 3, n).astype(np.uint8), rng.random(n, np.float32), rng.integers(0, 70000, (n, 5))
+    state, score, hits = (
+        rng.integers(0, 3, n).astype(np.uint8),
+        rng.random(n, np.float32),
+        rng.integers(0, 70000, (n, 5)),
+    )
     boxes = rng.random((7, 2, 3))
     faces = {"a": rng.random(1001) < 0.5, "lib\nb": rng.random(3) < 0.5}
     save_states(tmp_path / "s.npz", state, score, hits, keys, ("a", "lib\nb"), boxes=boxes, faces=faces)
@@ -85,7 +104,9 @@ def test_states_come_back(tmp_path):
         assert found["names"].tolist() == ["a", "lib\nb"]
         assert (found["boxes"] == boxes).all()
     back = load_states(tmp_path / "s.npz")
-    assert (back.state == state).all() and (back.hits == hits).all() and back.names == ("a", "lib\nb") and back.note == ""
+    assert (
+        (back.state == state).all() and (back.hits == hits).all() and back.names == ("a", "lib\nb") and back.note == ""
+    )
     assert back.faces.keys() == faces.keys() and all(np.array_equal(back.faces[name], faces[name]) for name in faces)
 
 
@@ -114,7 +135,8 @@ def filled(folder, frames, **header):
 
 
 def test_reports_of_parts_of_a_range_are_merged(tmp_path):
-    """Of the same options but for threads: the frames of both, the later ones where both have them; other options begin anew."""
+    """Of the same options but for threads: the frames of both, the later ones where both have them; other options begin
+    anew."""
     filled(tmp_path, (5, 6))
     r, data = filled(tmp_path, (1, 6), threads=8)
     assert [f["frame"] for f in data["frames"]] == [1, 5, 6]
@@ -131,7 +153,10 @@ def test_reports_of_parts_of_a_range_are_merged(tmp_path):
 
 def test_reports_by_processes_at_a_time(tmp_path):
     """Ten writers at once lose no frame."""
-    code = "import sys; from tests.core.files.test_report import filled; from pathlib import Path; filled(Path(sys.argv[1]), (int(sys.argv[2]),))"
+    code = (
+        "import sys; from tests.core.files.test_report import filled; from pathlib import Path; "
+        "filled(Path(sys.argv[1]), (int(sys.argv[2]),))"
+    )
     root = Path(__file__).parents[3]
     processes = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path), str(k)], cwd=root) for k in range(4)]
     assert [p.wait() for p in processes] == [0] * 4
@@ -159,7 +184,8 @@ def test_sizes():
 
 
 def test_another_command_leaves_the_report_of_finished_frames(tmp_path):
-    """By other options, or what is no report of ours: kept beside, not only until the first frame; one without frames need not be."""
+    """By other options, or what is no report of ours: kept beside, not only until the first frame; one without frames
+    need not be."""
     _, before = filled(tmp_path, (1, 2, 3))
     filled(tmp_path, (1,), samples=8)
     assert json.loads((tmp_path / "report_earlier_1.json").read_text()) == before
@@ -175,7 +201,14 @@ def test_another_command_leaves_the_report_of_finished_frames(tmp_path):
 def test_odd_reports_count_as_none(tmp_path):
     """Right keys with other things in them, nesting without an end, and no file at all."""
     _, data = filled(tmp_path, (1,))
-    odd = (("frames", 3), ("frames", [{"frame": "1"}]), ("frames", [{"frame": 1}]), ("totals", []), ("options", 1), ("warnings", [1]))
+    odd = (
+        ("frames", 3),
+        ("frames", [{"frame": "1"}]),
+        ("frames", [{"frame": 1}]),
+        ("totals", []),
+        ("options", 1),
+        ("warnings", [1]),
+    )
     for key, value in (*odd, ("frames", [[]])):
         (tmp_path / "report.json").write_text(json.dumps(data | {key: value}))
         assert report().finished(tmp_path) is None, (key, value)

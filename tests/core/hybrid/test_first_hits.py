@@ -30,8 +30,13 @@ def mixed(filter_width: float = NEEDLE) -> s.Scene:
         material(s.Shader.PRINCIPLED, base_color=0.6, alpha=0.5),
     ]
     placement = [(0, placed((0, 0, 0), 8.0), 0)]
-    placement += [(1, placed(at, r), k + 1) for k, (at, r) in enumerate((((0, 0, 1), 1.0), ((2, 0, 1), 0.8), ((-2, 0, 1), 0.5), ((-1, -2, 0.6), 0.5)))]
-    lights = np.concatenate([lamp(s.LightKind.POINT, (1, -2, 3), radius=0.3), lamp(s.LightKind.SUN, (0, 0, 3), power=2.0)])
+    placement += [
+        (1, placed(at, r), k + 1)
+        for k, (at, r) in enumerate((((0, 0, 1), 1.0), ((2, 0, 1), 0.8), ((-2, 0, 1), 0.5), ((-1, -2, 0.6), 0.5)))
+    ]
+    lights = np.concatenate(
+        [lamp(s.LightKind.POINT, (1, -2, 3), radius=0.3), lamp(s.LightKind.SUN, (0, 0, 3), power=2.0)]
+    )
     scene = build([quad(), sphere(12)], placement, materials, lights=lights, world=(0.3, 0.4, 0.5), size=SIZE)
     return dataclasses.replace(scene, film=dataclasses.replace(scene.film, filter_width=filter_width))
 
@@ -41,7 +46,13 @@ def first_hits(scene: s.Scene, index: int = 0, count: int = 1, size: tuple[int, 
     blas = BlasCache(scene.meshes)
     blas.need(scene.instances.mesh)
     tlas = Tlas(scene.instances, blas, np.ones(len(scene.instances), bool))
-    return trace_primary(tlas, MeshTable(scene.meshes), pass_camera(scene.camera, scene.film, size, index, count), size, scene.instances.mesh)
+    return trace_primary(
+        tlas,
+        MeshTable(scene.meshes),
+        pass_camera(scene.camera, scene.film, size, index, count),
+        size,
+        scene.instances.mesh,
+    )
 
 
 def from_hits(scene: s.Scene, primary: FirstHitBuffer) -> s.Scene:
@@ -58,13 +69,20 @@ def test_same_as_camera_rays():
 
 
 def test_parts_sum_to_the_whole():
-    """What the parts leave of the total is light of further bounces, of emitters and of the sky: never less than nothing."""
+    """What the parts leave of the total is light of further bounces, of emitters and of the sky: never less than
+    nothing."""
     scene = mixed()
     picture = render(from_hits(scene, first_hits(scene)), 4)
     rest = picture.sums[..., :3] - picture.parts[..., :9].reshape(*picture.sums.shape[:2], 3, 3).sum(axis=2)
     assert rest.min() > -1e-4 * picture.sums.max()
-    black = dataclasses.replace(scene, world=s.World(np.zeros(3, np.float32)), limits=s.PathLimits(total=0), materials=scene.materials[[0, 0, 0, 0, 0]])
-    lit = render(from_hits(black, first_hits(black)), 4)  # lamps on diffuse surfaces, no bounce: all is direct light of lamps
+    black = dataclasses.replace(
+        scene,
+        world=s.World(np.zeros(3, np.float32)),
+        limits=s.PathLimits(total=0),
+        materials=scene.materials[[0, 0, 0, 0, 0]],
+    )
+    # lamps on diffuse surfaces, no bounce: all is direct light of lamps
+    lit = render(from_hits(black, first_hits(black)), 4)
     np.testing.assert_allclose(lit.sums[..., :3], lit.parts[..., 3:6] + lit.parts[..., 6:9], atol=1e-4)
     assert lit.sums[..., :3].mean() > 0.1
 
@@ -80,7 +98,8 @@ def test_culled_instances_are_seen():
     np.testing.assert_allclose(picture[glowing][:, :3], 2.0, rtol=1e-5)
     ground = primary.hits["instance"] == 0
     assert picture[ground][:, :3].min() > 0.8 * 0.3 * 0.5  # no sky is hidden from it: at least that of one path in two
-    assert render(scene, 2, active=nothing).mean[ground][:, 2].max() <= 0.5 + 1e-6  # camera rays alone see the sky there
+    # camera rays alone see the sky there
+    assert render(scene, 2, active=nothing).mean[ground][:, 2].max() <= 0.5 + 1e-6
 
 
 def test_feedback_counts_no_first_hit():
@@ -101,7 +120,8 @@ def test_feedback_counts_no_first_hit():
 
 
 def test_passes_anti_alias():
-    """16 passes, each of one hit per pixel, see an edge as the filter does. A pass's mean over a row of edge pixels differs by the filter's spread over 16."""
+    """16 passes, each of one hit per pixel, see an edge as the filter does. A pass's mean over a row of edge pixels
+    differs by the filter's spread over 16."""
     above, glowing = look_at((0.013, 0, 4), (0.013, 0, 0)), material(s.Shader.EMISSION, emission=1.0)
     scene = build([quad()], [(0, placed((0, 0, 0), (1.0, 4.0, 1.0)), 0)], [glowing], above, world=(0, 0, 0), size=SIZE)
     truth = render(scene, 512).mean[13, :, 0]
@@ -123,7 +143,9 @@ def test_passes_focus():
         for k in range(8):
             c = pass_camera(camera, film, SIZE, k, 8)
             x, y, z = c.to_world[:, :3].T @ (np.array(point) - c.to_world[:, 3])
-            seen.append(((-x / z - c.frame[0]) / (c.frame[1] - c.frame[0]), (-y / z - c.frame[2]) / (c.frame[3] - c.frame[2])))
+            seen.append(
+                ((-x / z - c.frame[0]) / (c.frame[1] - c.frame[0]), (-y / z - c.frame[2]) / (c.frame[3] - c.frame[2]))
+            )
         assert (np.ptp(seen, axis=0).max() > 1e-2) == moves
         assert moves or np.ptp(seen, axis=0).max() < 1e-6
 
@@ -136,7 +158,8 @@ def test_hit_layout():
 
 @pytest.mark.parametrize(("focus", "aperture"), [(0.5, 0.018), (0.3, 0.009), (5.0, 0.1)])
 def test_what_any_pass_sees_is_in_view(focus, aperture):
-    """Close focus with a wide lens shifts the picture of a pass by more than the margin: no small thing at its edge is left out."""
+    """Close focus with a wide lens shifts the picture of a pass by more than the margin: no small thing at its edge is
+    left out."""
     rng = np.random.default_rng(2)
     camera = dataclasses.replace(look_at((0, 0, 0), (0, 1, 0), half_width=0.36), aperture=aperture, focus=focus)
     points = rng.uniform((-2, 0.05, -1.5), (2, 3, 1.5), (4000, 3))

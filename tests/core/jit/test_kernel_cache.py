@@ -22,7 +22,9 @@ def test_numba_uses_the_folder_whether_imported_before_or_after(tmp_path: Path) 
     environment = {**os.environ, "LIPAC_CACHE_DIR": str(tmp_path)}
     environment.pop("NUMBA_CACHE_DIR", None)
     for code in (PROBE, "import numba; " + PROBE):
-        out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout.strip()
+        out = subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+        ).stdout.strip()
         assert Path(out).parent == tmp_path
         assert Path(out).is_dir()
 
@@ -51,8 +53,15 @@ def test_changed_sources_use_another_folder(tmp_path: Path, monkeypatch: pytest.
 def test_what_kernels_do_not_use_is_no_source_of_theirs() -> None:
     core = Path(lipac.core.__file__).parent
     names = {path.relative_to(core).as_posix() for path in kernel_cache.kernel_sources(core)}
-    kernels = {"tracing/path_kernel.py", "tracing/bsdf/sample.py", "tracing/lights/light_tree.py", "accel/hitboxes.py", "jit/sampling.py"}
-    assert kernels | {"feedback/hits.py", "scene/model.py", "scene/mesh.py"} <= names  # these have no kernel, but constants of kernels
+    kernels = {
+        "tracing/path_kernel.py",
+        "tracing/bsdf/sample.py",
+        "tracing/lights/light_tree.py",
+        "accel/hitboxes.py",
+        "jit/sampling.py",
+    }
+    # these have no kernel, but constants of kernels
+    assert kernels | {"feedback/hits.py", "scene/model.py", "scene/mesh.py"} <= names
     assert not {"culling/loop.py", "culling/analysis.py", "culling/options.py", "files/report.py"} & names
 
 
@@ -66,8 +75,11 @@ def cache_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(config, "CACHE_DIR", getattr(config, "CACHE_DIR"))  # noqa: B009
 
 
-def test_the_same_sources_elsewhere_are_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache_settings: None) -> None:
-    """Kernels of an older layout are never taken for current ones: not where the same text lies in one folder, nor under another name."""
+def test_the_same_sources_elsewhere_are_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache_settings: None
+) -> None:
+    """Kernels of an older layout are never taken for current ones: not where the same text lies in one folder, nor
+    under another name."""
     core = Path(lipac.core.__file__).parent
     flat, renamed = tmp_path / "flat", tmp_path / "renamed"
     (flat / "jit").mkdir(parents=True)
@@ -93,7 +105,8 @@ def test_where_nothing_can_be_written_kernels_are_kept_for_this_process(tmp_path
 
 
 def test_only_folders_with_our_mark_are_removed(tmp_path: Path, cache_settings: None) -> None:
-    """By age, and by the button of the preferences: not what the user has given such a name, nor what a link leads to."""
+    """By age, and by the button of the preferences: not what the user has given such a name, nor what a link leads
+    to."""
     old = kernel_cache.use(tmp_path)
     assert old is not None
     name = "kernels-3.11-0123456789ab"
@@ -114,7 +127,9 @@ def test_only_folders_with_our_mark_are_removed(tmp_path: Path, cache_settings: 
     assert (tmp_path / "elsewhere" / users[2]).is_dir()
 
 
-@pytest.mark.parametrize(("variables", "where"), [({"XDG_CACHE_HOME": ""}, ".cache/lipac"), ({"XDG_CACHE_HOME": "relative"}, ".cache/lipac")])
+@pytest.mark.parametrize(
+    ("variables", "where"), [({"XDG_CACHE_HOME": ""}, ".cache/lipac"), ({"XDG_CACHE_HOME": "relative"}, ".cache/lipac")]
+)
 @pytest.mark.skipif(sys.platform != "linux", reason="XDG")
 def test_users_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variables: dict[str, str], where: str) -> None:
     """An empty or relative XDG_CACHE_HOME counts as none (XDG Base Directory Specification)."""
@@ -135,17 +150,27 @@ module = sys.modules["kernel"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(module)
 print(module.total(4), sum(module.total.stats.cache_hits.values()))
 """
-KERNEL = "from numba import njit\n@njit(cache=True)\ndef total(n):\n    s = 0\n    for k in range(n):\n        s += k\n    return s\n"
+KERNEL = (
+    "from numba import njit\n@njit(cache=True)\ndef total(n):\n    s = 0\n    for k in range(n):\n        s += "
+    "k\n    return s\n"
+)
 
 
 @pytest.mark.slow
 def test_damaged_kernels_are_compiled_again(tmp_path: Path) -> None:
-    """Cut off, empty, with other bytes in it, or without its index; and where nothing can be kept it works all the same."""
+    """Cut off, empty, with other bytes in it, or without its index; and where nothing can be kept it works all the
+    same."""
     (tmp_path / "kernel.py").write_text(KERNEL)
     environment = {**os.environ, "LIPAC_CACHE_DIR": str(tmp_path / "cache")}
 
     def run() -> str:
-        done = subprocess.run([sys.executable, "-c", SUM, str(tmp_path / "kernel.py")], env=environment, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", SUM, str(tmp_path / "kernel.py")],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         return done.stdout.strip()
 
     assert (run(), run()) == ("6 0", "6 1")

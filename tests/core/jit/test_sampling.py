@@ -13,7 +13,9 @@ U = np.uint64
 
 
 def numbers(count: int, pixel: int = 0, dimension: int = 0, seed: int = 1) -> np.ndarray:
-    return np.array([sampling.uniform2(U(sampling.path_key(U(seed), U(pixel), U(k))), U(dimension)) for k in range(count)])
+    return np.array(
+        [sampling.uniform2(U(sampling.path_key(U(seed), U(pixel), U(k))), U(dimension)) for k in range(count)]
+    )
 
 
 def test_numbers_are_uniform_in_the_square() -> None:
@@ -65,5 +67,7 @@ def test_basis_is_right_handed_and_orthonormal() -> None:
 
 def test_power_heuristic_sums_to_one() -> None:
     for a, b in ((1.0, 3.0), (1e-3, 5.0), (1e7, 1e8)):
-        assert sampling.power_heuristic(F(a), F(b)) + sampling.power_heuristic(F(b), F(a)) == pytest.approx(1.0, abs=1e-6)
+        assert sampling.power_heuristic(F(a), F(b)) + sampling.power_heuristic(F(b), F(a)) == pytest.approx(
+            1.0, abs=1e-6
+        )
     assert sampling.power_heuristic(F(1e30), F(1.0)) == 1.0

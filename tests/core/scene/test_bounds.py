@@ -18,7 +18,14 @@ def boxes() -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("corner", "value", "exists"),
-    [((0, 0), np.nan, False), ((1, 2), np.nan, False), ((0, 1), -np.inf, False), ((1, 1), 2e18, False), ((0, 2), -2e18, False), ((1, 0), 1.7e18, True)],
+    [
+        ((0, 0), np.nan, False),
+        ((1, 2), np.nan, False),
+        ((0, 1), -np.inf, False),
+        ((1, 1), 2e18, False),
+        ((0, 2), -2e18, False),
+        ((1, 0), 1.7e18, True),
+    ],
 )
 def test_what_has_no_finite_box_does_not_exist(boxes, corner, value, exists):
     boxes[500][corner] = value

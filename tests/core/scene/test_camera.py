@@ -17,7 +17,9 @@ TURNED = np.array([[0.0, 0.0, 1.0, 2.0], [1.0, 0.0, 0.0, -3.0], [0.0, 1.0, 0.0, 
 FRAME = np.array([-0.3, 0.5, -0.2, 0.4])
 
 
-def ray(camera: s.Camera, u: float, v: float, lens: tuple[float, float] = (0.5, 0.5)) -> tuple[np.ndarray, np.ndarray, float]:
+def ray(
+    camera: s.Camera, u: float, v: float, lens: tuple[float, float] = (0.5, 0.5)
+) -> tuple[np.ndarray, np.ndarray, float]:
     r = np.array(camera_ray(camera_constants(camera), F(u), F(v), F(lens[0]), F(lens[1])), np.float64)
     return r[:3], r[3:6], r[6]
 
@@ -48,7 +50,9 @@ def test_orthographic_rays_are_parallel() -> None:
 def test_a_scaled_camera_sees_the_same() -> None:
     scaled = TURNED.copy()
     scaled[:, :3] *= [2.0, 3.0, 0.5]
-    assert ray(s.Camera(scaled, FRAME), 0.2, 0.7)[1] == pytest.approx(ray(s.Camera(TURNED, FRAME), 0.2, 0.7)[1], abs=1e-6)
+    assert ray(s.Camera(scaled, FRAME), 0.2, 0.7)[1] == pytest.approx(
+        ray(s.Camera(TURNED, FRAME), 0.2, 0.7)[1], abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("blades", [0, 5])
@@ -84,5 +88,8 @@ def test_paths_take_a_camera_of_the_shutter() -> None:
     glow = [material(s.Shader.EMISSION, emission=c) for c in np.eye(3)]
     placement = [(0, placed((4.0 * k, 0, 0), 2.0), k) for k in range(3)]
     cameras = tuple(look_at((4.0 * k, 0, 10), (4.0 * k, 0, 0), 0.05, 1.0) for k in range(3))
-    scene = replace(build([quad()], placement, glow, look_at((0, 0, 10), (0, 0, 20)), world=(0, 0, 0), size=(16, 16)), shutter=cameras)
+    scene = replace(
+        build([quad()], placement, glow, look_at((0, 0, 10), (0, 0, 20)), world=(0, 0, 0), size=(16, 16)),
+        shutter=cameras,
+    )
     np.testing.assert_allclose(render(scene, 64).mean[..., :3].mean((0, 1)), [1 / 3, 1 / 3, 1 / 3], atol=0.02)

@@ -10,10 +10,14 @@ from lipac.core.scene import model as s
 from lipac.core.scene.film import FILTER_SIZE, Picture, filter_offset, filter_offsets
 
 
-@pytest.mark.parametrize(("name", "width", "radius"), [("BOX", 1.5, 0.5), ("BLACKMAN_HARRIS", 1.5, 1.5), ("GAUSSIAN", 1.5, 2.25)])
+@pytest.mark.parametrize(
+    ("name", "width", "radius"), [("BOX", 1.5, 0.5), ("BLACKMAN_HARRIS", 1.5, 1.5), ("GAUSSIAN", 1.5, 2.25)]
+)
 def test_offsets_are_symmetric_and_bounded(name: str, width: float, radius: float) -> None:
     table = filter_offsets(s.Film(1, 1, name, width))
-    assert table[0] == pytest.approx(-radius, abs=2e-3 * radius) and table[-1] == pytest.approx(radius, abs=2e-3 * radius)
+    assert table[0] == pytest.approx(-radius, abs=2e-3 * radius) and table[-1] == pytest.approx(
+        radius, abs=2e-3 * radius
+    )
     assert table + table[::-1] == pytest.approx(0.0, abs=1e-5)
     assert (np.diff(table) >= 0).all()
 
@@ -26,7 +30,8 @@ def test_blackman_harris_has_the_variance_of_its_window() -> None:
     table = table.astype(float)
     centre = (table[1:] + table[:-1]) / 2  # linear between entries: add the variance within an interval
     variance = (centre**2 + np.diff(table) ** 2 / 12).mean()
-    assert variance == pytest.approx((x**2 * f).sum() / f.sum(), rel=5e-3)  # 1024 intervals, linear within: the outermost spread a little
+    # 1024 intervals, linear within: the outermost spread a little
+    assert variance == pytest.approx((x**2 * f).sum() / f.sum(), rel=5e-3)
 
 
 def test_lookup_interpolates() -> None:

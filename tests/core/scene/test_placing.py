@@ -28,7 +28,8 @@ def test_compose_rows() -> None:
 
 
 def test_finish_boxes_enclose_tightly() -> None:
-    """World boxes hold all corners in float64 and exceed them by float32's rounding only; far away the origin goes first."""
+    """World boxes hold all corners in float64 and exceed them by float32's rounding only; far away the origin goes
+    first."""
     transform, origin = random_transforms(200, 2), np.array([1e6, -2e6, 5.0])
     transform[:, :, 3] += origin
     low, high = np.array([-1.0, 0.5, -3.0]), np.array([2.0, 0.75, 4.0])

@@ -30,10 +30,12 @@ def composed(shader: Shader, first: int, second: int, **fields: object) -> s.Rec
 
 
 def seen(materials: list[s.Records], samples: int = 64, **scene: object) -> np.ndarray:
-    """Mean colour of a square of 4 m with material 0 over one of 8 m, 2 m below it, with material 1, from above, under a white sky."""
+    """Mean colour of a square of 4 m with material 0 over one of 8 m, 2 m below it, with material 1, from above, under
+    a white sky."""
     placement = [(0, placed((0, 0, 0), 4.0), 0), (0, placed((0, 0, -2), 8.0), 1)]
     options: dict[str, object] = {"camera": DOWN, "size": (32, 32), "limits": s.PathLimits(total=0)}
-    return np.asarray(render(build([quad()], placement, materials, **(options | scene)), samples).mean[..., :3].mean((0, 1)))  # type: ignore[arg-type]
+    built = build([quad()], placement, materials, **(options | scene))  # type: ignore[arg-type]
+    return np.asarray(render(built, samples).mean[..., :3].mean((0, 1)))
 
 
 def test_shares_are_means() -> None:
@@ -53,8 +55,21 @@ def test_light_of_a_mix_is_its_mean() -> None:
     placement = [(0, placed((0, 0, 0), 8.0), 0), (0, placed((5.2, 0, 2), 3.0), 1)]
     grey = material(Shader.DIFFUSE, base_color=0.5)
     pictures = []
-    for records, strategy in (([grey, plain], 0), ([grey, mix, bright, dark], 0), ([grey, mix, bright, dark], 1), ([grey, mix, bright, dark], 2)):
-        scene = build([quad()], placement, records, look_at((0, 0, 10), (0, 0, 0), 0.3, 1.0), world=(0, 0, 0), size=(32, 32), limits=s.PathLimits(total=1))
+    for records, strategy in (
+        ([grey, plain], 0),
+        ([grey, mix, bright, dark], 0),
+        ([grey, mix, bright, dark], 1),
+        ([grey, mix, bright, dark], 2),
+    ):
+        scene = build(
+            [quad()],
+            placement,
+            records,
+            look_at((0, 0, 10), (0, 0, 0), 0.3, 1.0),
+            world=(0, 0, 0),
+            size=(32, 32),
+            limits=s.PathLimits(total=1),
+        )
         pictures.append(render(scene, 256, strategy=strategy).mean[..., 0].mean())
     np.testing.assert_allclose(pictures[1:], pictures[0], rtol=0.03)
 
@@ -71,7 +86,8 @@ def test_a_side_sees_its_part(back: bool) -> None:
 
 
 def test_a_ray_sees_its_part() -> None:
-    """What is clear to camera rays alone shows what lies behind, and shades it; what is clear to shadow rays too, on their side, lets light pass."""
+    """What is clear to camera rays alone shows what lies behind, and shades it; what is clear to shadow rays too, on
+    their side, lets light pass."""
     white = material(Shader.DIFFUSE, base_color=1.0)
     sun = lamp(s.LightKind.SUN, power=1.0)
     options: dict[str, object] = {"lights": sun, "world": (0, 0, 0)}
@@ -87,14 +103,19 @@ def test_a_ray_sees_its_part() -> None:
 
 
 def test_what_shows_through_the_unsure_is_kept() -> None:
-    """Behind something of which nobody knows how clear it is all that paths see stays, whatever it is worth; behind glass of known clarity it may go."""
+    """Behind something of which nobody knows how clear it is all that paths see stays, whatever it is worth; behind
+    glass of known clarity it may go."""
     dim = material(Shader.DIFFUSE, base_color=0.001)
     kept = {}
     for unsure in (0, 1):
         veil = composed(Shader.MIX, 2, 3, alpha=0.5)
         opaque, clear = material(Shader.DIFFUSE, base_color=1.0), CLEAR.copy()
         opaque["unsure"] = clear["unsure"] = unsure
-        placement = [(1, placed((0, 0, 0), 4.0), 0), (1, placed((0, 0, -6), 40.0), 1), (0, placed((0.2, 0, -5.9), 0.1), 1)]
+        placement = [
+            (1, placed((0, 0, 0), 4.0), 0),
+            (1, placed((0, 0, -6), 40.0), 1),
+            (0, placed((0.2, 0, -5.9), 0.1), 1),
+        ]
         scene = build([cube(), quad()], placement, [veil, dim, opaque, clear], DOWN, size=(64, 64))
         kept[unsure] = analyze(scene, CullOptions(seed=1)).active
     assert not kept[0][2]

@@ -41,24 +41,36 @@ def _compiled(cache: Path) -> list[str]:
     """What an analysis in a process of its own compiles, of ours."""
     environment = os.environ | {"LIPAC_CACHE_DIR": str(cache)}
     root = Path(__file__).parents[3]
-    out = subprocess.run([sys.executable, "-c", ANALYSIS], cwd=root, env=environment, capture_output=True, text=True, check=True).stdout
+    out = subprocess.run(
+        [sys.executable, "-c", ANALYSIS], cwd=root, env=environment, capture_output=True, text=True, check=True
+    ).stdout
     return [name for name in json.loads(out.splitlines()[-1]) if name.startswith("lipac.")]
 
 
-def test_what_the_worker_compiled_is_loaded_and_nothing_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_worker_compiled_is_loaded_and_nothing_is_compiled_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(sys, "path", [*sys.path, Path("of an add-on")])  # importing leaves these out
     worker = second_process.start_worker()
     assert worker is not None
     assert worker.wait() == 0
     names = {path.name.split("-")[0] for path in tmp_path.rglob("*.nbi")}
-    done = {"setup.bsdf_setup", "sample.bsdf_sample", "evaluate.bsdf_eval", "direct_light.add_direct_light", "light_sampling.sample_light"}
+    done = {
+        "setup.bsdf_setup",
+        "sample.bsdf_sample",
+        "evaluate.bsdf_eval",
+        "direct_light.add_direct_light",
+        "light_sampling.sample_light",
+    }
     assert done <= names
 
     first = _compiled(tmp_path)
-    assert "lipac.core.tracing.path_kernel.trace_tile" in first
-    assert not {name.removeprefix("lipac.core.") for name in first} & names  # or the worker's signatures are not the kernel's
-    # numba numbers a function's variants: were there two, each process could take the same number for another one. And each takes its time.
+    assert "lipac.core.tracing.tile_kernel.trace_tile" in first
+    # or the worker's signatures are not the kernel's
+    assert not {name.removeprefix("lipac.core.") for name in first} & names
+    # numba numbers a function's variants: were there two, each process could take the same number for another one. And
+    # each takes its time.
     assert len(list(tmp_path.rglob("*.nbc"))) == len(list(tmp_path.rglob("*.nbi")))
     assert _compiled(tmp_path) == []
 
@@ -105,4 +117,6 @@ def test_the_first_of_our_kernels_starts_one_worker(monkeypatch: pytest.MonkeyPa
         listener.on_start(event.Event("numba:compile", event.EventStatus.START, {"dispatcher": dispatcher}))
         return len(started)
 
-    assert [compile_of(module) for module in ("somebody.elses", "lipac.core.scene.bounds", "lipac.core.scene.placing")] == [0, 1, 1]
+    assert [
+        compile_of(module) for module in ("somebody.elses", "lipac.core.scene.bounds", "lipac.core.scene.placing")
+    ] == [0, 1, 1]

@@ -51,7 +51,9 @@ def test_bilinear(extension: s.Extension, floats: bool) -> None:
         i, j = int(np.floor(x)), int(np.floor(y))
         fx, fy = x - i, y - j
         expected = sum(
-            (fx if a else 1 - fx) * (fy if b else 1 - fy) * pixel(i + a, j + b, extension, image) for a in (0, 1) for b in (0, 1)
+            (fx if a else 1 - fx) * (fy if b else 1 - fy) * pixel(i + a, j + b, extension, image)
+            for a in (0, 1)
+            for b in (0, 1)
         )
         # float32 coordinates of up to 20 pixels: 2e-6 of a pixel, times a slope of at most 1
         assert texture(u, v) == pytest.approx(expected, abs=1e-5)

@@ -1,4 +1,5 @@
-"""The path tracer against known answers: closed forms of light transport, strategies against each other, threads, scales, instances."""
+"""The path tracer against known answers: closed forms of light transport, strategies against each other, threads,
+scales, instances."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ from ..scenes import lamp, material, render
 
 
 def spot_above(x: float, width: float = 0.02) -> s.Camera:
-    """Orthographic, looking down at a patch of the floor around (x, 0) that is so small that light hardly varies over it."""
+    """Orthographic, looking down at a patch of the floor around (x, 0) that is so small that light hardly varies over
+    it."""
     to_world = np.array([[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 0.5]], float)
     return s.Camera(to_world, np.array([-1, 1, -1, 1]) * width / 2, orthographic=True)
 
@@ -28,7 +30,9 @@ def spot_above(x: float, width: float = 0.02) -> s.Camera:
 DIRECT = s.PathLimits(total=0, diffuse=0, glossy=0, transmission=0)
 
 
-def floor(lights: s.Records | None = None, x: float = 0.0, extra: list[tuple[int, np.ndarray, int]] | None = None) -> s.Scene:
+def floor(
+    lights: s.Records | None = None, x: float = 0.0, extra: list[tuple[int, np.ndarray, int]] | None = None
+) -> s.Scene:
     """A floor of albedo 0.5, seen from above at x; material 1 glows with radiance 5."""
     placement = [(0, scenes.placed((0, 0, 0), 50.0), 0), *(extra or [])]
     return scenes.build(
@@ -50,11 +54,14 @@ def mean(picture: Picture) -> tuple[float, float]:
 
 
 def rectangle_irradiance(x: float, height: float, half: float = 0.5) -> float:
-    """Irradiance over radiance on a floor at (x, 0) under a square at (0, 0, height) that faces it (sum of four corner configuration factors)."""
+    """Irradiance over radiance on a floor at (x, 0) under a square at (0, 0, height) that faces it (sum of four corner
+    configuration factors)."""
 
     def corner(a: float, b: float) -> float:
         a, b = a / height, b / height
-        return 0.5 * (a / np.hypot(1, a) * np.arctan(b / np.hypot(1, a)) + b / np.hypot(1, b) * np.arctan(a / np.hypot(1, b)))
+        return 0.5 * (
+            a / np.hypot(1, a) * np.arctan(b / np.hypot(1, a)) + b / np.hypot(1, b) * np.arctan(a / np.hypot(1, b))
+        )
 
     return sum(corner(i * half - i * k * x, half) * 2 for i, k in ((1, 1), (1, -1)))
 
@@ -64,14 +71,18 @@ def rectangle_irradiance(x: float, height: float, half: float = 0.5) -> float:
     ("name", "light", "expected"),
     [
         ("point", lamp(s.LightKind.POINT), lambda x: 100 / (4 * np.pi) * 2 / (x * x + 4) ** 1.5),
-        ("sphere", lamp(s.LightKind.POINT, radius=0.3), lambda x: 100 / (4 * np.pi) * 2 / (x * x + 4) ** 1.5),  # exact while all of it is above the horizon
-        ("spot", lamp(s.LightKind.SPOT, spot_size=1.6), lambda x: 100 / (4 * np.pi) * 2 / (x * x + 4) ** 1.5),  # within the cone
-        ("sun", lamp(s.LightKind.SUN, angle=0.1, power=3.0), lambda x: 3.0),  # radiance E / (pi sin^2), so the cosine over the disk gives E again
+        # exact while all of it is above the horizon
+        ("sphere", lamp(s.LightKind.POINT, radius=0.3), lambda x: 100 / (4 * np.pi) * 2 / (x * x + 4) ** 1.5),
+        # within the cone
+        ("spot", lamp(s.LightKind.SPOT, spot_size=1.6), lambda x: 100 / (4 * np.pi) * 2 / (x * x + 4) ** 1.5),
+        # radiance E / (pi sin^2), so the cosine over the disk gives E again
+        ("sun", lamp(s.LightKind.SUN, angle=0.1, power=3.0), lambda x: 3.0),
         ("area", lamp(s.LightKind.AREA), lambda x: 100 / np.pi * rectangle_irradiance(x, 2)),
     ],
 )
 def test_direct_light_of_lamps(name: str, light: s.Records, expected: object, x: float) -> None:
-    """Radiance of a white-grey floor: albedo / pi times irradiance, within five standard errors and the patch's own variation (1e-3)."""
+    """Radiance of a white-grey floor: albedo / pi times irradiance, within five standard errors and the patch's own
+    variation (1e-3)."""
     value, error = mean(render(floor(light, x), 16))
     wanted = 0.5 / np.pi * expected(x)  # type: ignore[operator]
     assert abs(value - wanted) < 5 * error + 1.5e-3 * wanted
@@ -95,7 +106,9 @@ def test_uneven_scale_of_an_emissive_sphere() -> None:
         assert abs(value - results[0][0]) < 5 * np.hypot(error, results[0][1])
 
 
-@pytest.mark.parametrize("light", ["sphere", "disk", "area", "ellipse", "spread", "sun", "spot", "world", "two lamps and a mesh"])
+@pytest.mark.parametrize(
+    "light", ["sphere", "disk", "area", "ellipse", "spread", "sun", "spot", "world", "two lamps and a mesh"]
+)
 def test_strategies_agree(light: str) -> None:
     """Light sampling, BSDF sampling and both together have one mean."""
     kinds = {
@@ -106,7 +119,9 @@ def test_strategies_agree(light: str) -> None:
         "spread": lamp(s.LightKind.AREA, spread=1.5, size=2),
         "sun": lamp(s.LightKind.SUN, angle=0.5, power=3),
         "spot": lamp(s.LightKind.SPOT, radius=0.5, spot_blend=0.5),
-        "two lamps and a mesh": np.concatenate([lamp(s.LightKind.POINT, (1, 1, 2), radius=0.5), lamp(s.LightKind.AREA, (-1, 0, 2))]),
+        "two lamps and a mesh": np.concatenate(
+            [lamp(s.LightKind.POINT, (1, 1, 2), radius=0.5), lamp(s.LightKind.AREA, (-1, 0, 2))]
+        ),
         "world": None,
     }
     extra = [(1, scenes.placed((-0.5, -1, 1.5), 0.4), 1)] if light == "two lamps and a mesh" else None
@@ -124,7 +139,9 @@ def test_strategies_agree(light: str) -> None:
 def test_white_furnace() -> None:
     """A convex body that absorbs nothing is invisible in a uniform world."""
     camera = scenes.look_at((0, -4, 0), (0, 0, 0))
-    scene = scenes.build([scenes.sphere(24)], [(0, scenes.placed((0, 0, 0)), 0)], [material(base_color=1.0)], camera, size=(48, 27))
+    scene = scenes.build(
+        [scenes.sphere(24)], [(0, scenes.placed((0, 0, 0)), 0)], [material(base_color=1.0)], camera, size=(48, 27)
+    )
     picture = render(scene, 16).mean
     assert picture[..., :3] == pytest.approx(1.0, abs=2e-5)  # float32 sums of 16
 
@@ -135,7 +152,9 @@ def test_closed_furnace(bounces: int) -> None:
     m = material(s.Shader.PRINCIPLED, base_color=0.6, emission=0.5, specular_level=0.0, ior=1.0)
     limits = s.PathLimits(total=bounces, diffuse=bounces, glossy=bounces, transmission=bounces)
     camera = scenes.look_at((0.2, -0.6, 0.1), (0, 0.4, 0))
-    scene = scenes.build([scenes.cube()], [(0, scenes.placed((0, 0, 0), (3, 2, 2)), 0)], [m], camera, size=(48, 27), limits=limits)
+    scene = scenes.build(
+        [scenes.cube()], [(0, scenes.placed((0, 0, 0), (3, 2, 2)), 0)], [m], camera, size=(48, 27), limits=limits
+    )
     value, error = mean(render(scene, 64))
     wanted = 0.5 * (1 - 0.6 ** (bounces + 2)) / (1 - 0.6)
     assert abs(value - wanted) < 5 * error + 1e-4 * wanted
@@ -144,7 +163,8 @@ def test_closed_furnace(bounces: int) -> None:
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e5])
 @pytest.mark.parametrize("shift", [0.0, 30.0])
 def test_rays_leave_their_surface_at_any_scale(scale: float, shift: float) -> None:
-    """From outside of a convex body no bounce meets it again; from inside none gets out. shift: distance from the origin, in body sizes."""
+    """From outside of a convex body no bounce meets it again; from inside none gets out. shift: distance from the
+    origin, in body sizes."""
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     transform = np.zeros((3, 4), np.float32)
     transform[:, :3] = turn * scale * np.array([1.0, 0.4, 2.0])
@@ -175,9 +195,13 @@ def room() -> s.Scene:
     placement = [(0, scenes.placed((0, 0, 0), 8.0), 0)]
     placement += [(1, scenes.placed((i - 1.5, 0.3 * i, 0.45), 0.4), 1 + i) for i in range(4)]
     placement += [(2, scenes.placed((1.5 - i, -1.2, 0.2), 0.3), i % 5) for i in range(4)]
-    lights = np.concatenate([lamp(s.LightKind.POINT, (2, -2, 2), radius=0.2), lamp(s.LightKind.SUN, power=1, angle=0.1)])
+    lights = np.concatenate(
+        [lamp(s.LightKind.POINT, (2, -2, 2), radius=0.2), lamp(s.LightKind.SUN, power=1, angle=0.1)]
+    )
     meshes = [scenes.quad(), scenes.sphere(12), scenes.cube()]
-    return scenes.build(meshes, placement, materials, scenes.look_at((0, -5, 2), (0, 0, 0.3)), lights, world=(0.3, 0.3, 0.4))
+    return scenes.build(
+        meshes, placement, materials, scenes.look_at((0, -5, 2), (0, 0, 0.3)), lights, world=(0.3, 0.3, 0.4)
+    )
 
 
 def test_same_picture_and_counts_at_any_number_of_threads() -> None:
@@ -198,7 +222,8 @@ def test_samples_continue_where_others_ended() -> None:
 
 
 def test_instanced_equals_flat() -> None:
-    """One mesh placed many times, and the same triangles baked into one mesh: same random numbers, same picture but for roundings."""
+    """One mesh placed many times, and the same triangles baked into one mesh: same random numbers, same picture but for
+    roundings."""
     rng = np.random.default_rng(6)
     transforms = []
     for _ in range(30):
@@ -208,14 +233,17 @@ def test_instanced_equals_flat() -> None:
         transforms.append(t)
     cube = scenes.cube()
     baked = np.concatenate([cube.positions @ t[:, :3].T + t[:, 3] for t in transforms]).astype(np.float32)
-    triangles = np.concatenate([cube.triangles if np.linalg.det(t[:, :3]) > 0 else cube.triangles[:, ::-1] for t in transforms])
+    triangles = np.concatenate(
+        [cube.triangles if np.linalg.det(t[:, :3]) > 0 else cube.triangles[:, ::-1] for t in transforms]
+    )
     triangles = (triangles.reshape(30, -1, 3) + 8 * np.arange(30)[:, None, None]).reshape(-1, 3).astype(np.uint32)
     sun = lamp(s.LightKind.SUN, power=2, angle=0.05)
     camera = scenes.look_at((0, -6, 3), (0, 0, 0.5))
     common = {"camera": camera, "lights": sun, "world": (0.3, 0.3, 0.3), "size": (96, 54)}
     ground = (1, scenes.placed((0, 0, 0), 9.0), 0)
     instanced = scenes.build([cube, scenes.quad()], [ground, *[(0, t, 0) for t in transforms]], [material()], **common)  # type: ignore[arg-type]
-    flat = scenes.build([s.Mesh(baked, triangles), scenes.quad()], [ground, (0, scenes.placed((0, 0, 0)), 0)], [material()], **common)  # type: ignore[arg-type]
+    baked_mesh, once = s.Mesh(baked, triangles), (0, scenes.placed((0, 0, 0)), 0)
+    flat = scenes.build([baked_mesh, scenes.quad()], [ground, once], [material()], **common)  # type: ignore[arg-type]
     counts = [Feedback.zeros(31), Feedback.zeros(2)]
     a = render(instanced, 4, feedback=counts[0]).mean
     b = render(flat, 4, feedback=counts[1]).mean

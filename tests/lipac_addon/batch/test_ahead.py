@@ -1,4 +1,5 @@
-"""Analyses in a process of their own, while frames are rendered: what comes out is what comes out one after the other."""
+"""Analyses in a process of their own, while frames are rendered: what comes out is what comes out one after the
+other."""
 
 import json
 from argparse import Namespace
@@ -12,7 +13,7 @@ from lipac.core.errors import Cancelled, InputError
 from lipac.lipac_addon.batch.ahead import Ahead
 from lipac.lipac_addon.batch.job import never
 from lipac.lipac_addon.pictures import read_picture
-from lipac.scripts import options
+from lipac.scripts.command import frames
 from lipac.scripts.lipac import main
 
 pytestmark = pytest.mark.slow
@@ -34,7 +35,19 @@ def entries(folder):
 
 
 def test_states_and_pictures_are_those_of_one_after_the_other(file, tmp_path):
-    common = ["render", str(file), "--frames", "1-3", "--max-error", "0.05", "--resolution", "48x27", "--seed", "3", "--quiet"]
+    common = [
+        "render",
+        str(file),
+        "--frames",
+        "1-3",
+        "--max-error",
+        "0.05",
+        "--resolution",
+        "48x27",
+        "--seed",
+        "3",
+        "--quiet",
+    ]
     assert main([*common, "-o", str(tmp_path / "a"), "--no-ahead"]) == 0
     assert main([*common, "-o", str(tmp_path / "b"), "--ahead"]) == 0
     assert [(tmp_path / "a" / "states" / f"frame_000{k}.npz").read_bytes() for k in FRAMES] == [
@@ -70,18 +83,49 @@ def test_waiting_can_be_cancelled(file, tmp_path):
 
 
 def test_when_it_is_done(monkeypatch):
-    """By itself where the render is not on the CPU, and by wish; never where frames depend on renders, or there is no file for another process to open."""
-    plain = {"scene": Path("a.blend"), "ahead": None, "cull": "light-paths", "bake": "frame", "enforce": False, "warm": True, "no_mitigation": False}
-    plain |= {"resolution": (64, 36), "blas_budget": None, "threads": 0, "seed": 3, "camera": "C", "max_error": "0.02", "min_share": None, "paths": None}
+    """By itself where the render is not on the CPU, and by wish; never where frames depend on renders, or there is no
+    file for another process to open."""
+    plain = {
+        "scene": Path("a.blend"),
+        "ahead": None,
+        "cull": "light-paths",
+        "bake": "frame",
+        "enforce": False,
+        "warm": True,
+        "no_mitigation": False,
+    }
+    plain |= {
+        "resolution": (64, 36),
+        "blas_budget": None,
+        "threads": 0,
+        "seed": 3,
+        "camera": "C",
+        "max_error": "0.02",
+        "min_share": None,
+        "paths": None,
+    }
     off = [False]
-    monkeypatch.setattr(options, "_off_the_cpu", lambda _args: off[0])
+    monkeypatch.setattr(frames, "_off_the_cpu", lambda _args: off[0])
 
     def arguments(alone=True, **more):
-        return options.ahead_arguments(Namespace(**plain | more), alone)
+        return frames.ahead_arguments(Namespace(**plain | more), alone)
 
     assert arguments() == ()
     off[0] = True
-    expected = ("a.blend", "--warm", "--resolution", "64x36", "--threads", "0", "--seed", "3", "--camera", "C", "--max-error", "0.02")
+    expected = (
+        "a.blend",
+        "--warm",
+        "--resolution",
+        "64x36",
+        "--threads",
+        "0",
+        "--seed",
+        "3",
+        "--camera",
+        "C",
+        "--max-error",
+        "0.02",
+    )
     assert arguments() == expected
     assert arguments(ahead=False) == arguments(alone=False) == arguments(scene=None) == ()
     assert arguments(cull="frustum") == arguments(bake="shot") == arguments(enforce=True) == ()

@@ -1,4 +1,5 @@
-"""Parts of meshes from Blender to Blender: Cycles' own pictures are within the budget, and the file is left as it was."""
+"""Parts of meshes from Blender to Blender: Cycles' own pictures are within the budget, and the file is left as it
+was."""
 
 from __future__ import annotations
 
@@ -45,7 +46,10 @@ def terrain() -> bpy.types.Object:
 def test_the_budget_holds_in_cycles(terrain: bpy.types.Object, tmp_path: Path) -> None:
     budget = Budget(0.02, 0.1)
     report = Report("terrain", "", "", "light-paths", "cycles", 0, 2)
-    run(Job(tmp_path, (1,), CullOptions(max_error=budget, parts=True), "cycles", samples=32, verify=GRID[0] * GRID[1]), report)
+    run(
+        Job(tmp_path, (1,), CullOptions(max_error=budget, parts=True), "cycles", samples=32, verify=GRID[0] * GRID[1]),
+        report,
+    )
     frame = report.frames[0]
     assert frame["writeback"]["face_hosts"] == 1
     assert frame["writeback"]["faces_removed"] > 0.5 * SIDE**2
@@ -60,8 +64,13 @@ def test_a_shot_keeps_the_faces_of_all_its_frames(terrain: bpy.types.Object, tmp
     """The same by one process, and by one that does the second frame alone."""
     options, kept = CullOptions(max_error=Budget(0.02, 0.1), parts=True), {}
     for name, bake, frames in (("frames", FRAME, (1, 2)), ("shot", SHOT, (1, 2)), ("part", SHOT, (2,))):
-        run(Job(tmp_path / name, frames, options, bake=bake, shot=(1, 2)), Report("terrain", "", "", "light-paths", "", 0, 2))
-        kept[name] = {frame: load_states(tmp_path / name / "states" / f"frame_{frame:04}.npz").faces["Grid"] for frame in frames}
+        run(
+            Job(tmp_path / name, frames, options, bake=bake, shot=(1, 2)),
+            Report("terrain", "", "", "light-paths", "", 0, 2),
+        )
+        kept[name] = {
+            frame: load_states(tmp_path / name / "states" / f"frame_{frame:04}.npz").faces["Grid"] for frame in frames
+        }
     a, b = kept["frames"].values()
     n = max(len(a), len(b))
     either = np.pad(a, (0, n - len(a))) | np.pad(b, (0, n - len(b)))

@@ -64,7 +64,8 @@ def test_stop_of_analysis_and_path(boxes, tmp_path, engine):
 
 @pytest.fixture
 def layers(boxes):
-    """The boxes with a second view layer that lacks the wall, and so shows the boxes behind it; a third one that nothing is in; a fourth that is not used."""
+    """The boxes with a second view layer that lacks the wall, and so shows the boxes behind it; a third one that
+    nothing is in; a fourth that is not used."""
     hidden = bpy.data.collections.new("wall")
     boxes.collection.children.link(hidden)
     wall = bpy.data.objects["wall"]
@@ -111,10 +112,15 @@ def test_a_rule_reads_no_mesh_for_blenders_engines(boxes, tmp_path, monkeypatch)
 
 @pytest.mark.parametrize(("engine", "more"), [("path", 0), ("hybrid", 1)])
 def test_nothing_is_built_twice(boxes, tmp_path, monkeypatch, engine, more):
-    """The picture is made of what the analysis has built; traced first hits, of everything, take structures of their own."""
+    """The picture is made of what the analysis has built; traced first hits, of everything, take structures of their
+    own."""
     caches, build = [], BlasCache._build
-    monkeypatch.setattr(BlasCache, "_build", lambda self, index, mesh: (caches.append(self), build(self, index, mesh))[1])
-    job = Job(tmp_path, (1,), CullOptions(width=48), engine, samples=1, hybrid=HybridOptions(primary="traced", denoise=False))
+    monkeypatch.setattr(
+        BlasCache, "_build", lambda self, index, mesh: (caches.append(self), build(self, index, mesh))[1]
+    )
+    job = Job(
+        tmp_path, (1,), CullOptions(width=48), engine, samples=1, hybrid=HybridOptions(primary="traced", denoise=False)
+    )
     run(job, report())
     assert len({id(cache) for cache in caches}) == 1 + more
 
@@ -153,7 +159,8 @@ def test_damaged_or_missing_analyses_of_a_shot_are_made_again(boxes, tmp_path, m
 
 
 def test_a_report_stays_until_there_is_something_to_say(boxes, tmp_path):
-    """Another command that ends before its first frame changes nothing; afterwards the earlier report is kept beside."""
+    """Another command that ends before its first frame changes nothing; afterwards the earlier report is kept
+    beside."""
     run(Job(tmp_path, (1, 2), DISTANCE), report())
     before = (tmp_path / "report.json").read_bytes()
     other = Report("boxes", "", "", "distance", "cycles", 7, 1)
@@ -166,7 +173,8 @@ def test_a_report_stays_until_there_is_something_to_say(boxes, tmp_path):
 
 
 def test_frames_before_zero(boxes, tmp_path):
-    """The current frame is -5, where the camera looks away: that is what all ways to render show, and where the scene stays."""
+    """The current frame is -5, where the camera looks away: that is what all ways to render show, and where the scene
+    stays."""
     boxes.camera.rotation_euler.x = -1.25
     boxes.camera.keyframe_insert("rotation_euler", frame=-5)
     boxes.camera.rotation_euler.x = 1.25
@@ -175,11 +183,17 @@ def test_frames_before_zero(boxes, tmp_path):
     pictures = []
     for policy, bake in (("none", "frame"), ("light-paths", "frame"), ("light-paths", "shot")):
         folder = tmp_path / (policy + bake)
-        run(Job(folder, (-5,), CullOptions(policy=policy), "cycles", 1, bake=bake), Report("boxes", "", "", policy, "cycles", 0, 1))
+        run(
+            Job(folder, (-5,), CullOptions(policy=policy), "cycles", 1, bake=bake),
+            Report("boxes", "", "", policy, "cycles", 0, 1),
+        )
         pictures.append(read_picture(next(folder.glob("frame_*.exr"))))
         assert boxes.frame_float == -5
     boxes.frame_set(0)
-    run(Job(tmp_path / "other", (0,), CullOptions(policy="none"), "cycles", 1), Report("boxes", "", "", "none", "cycles", 0, 1))
+    run(
+        Job(tmp_path / "other", (0,), CullOptions(policy="none"), "cycles", 1),
+        Report("boxes", "", "", "none", "cycles", 0, 1),
+    )
     assert np.abs(pictures[0] - read_picture(tmp_path / "other" / "frame_0000.exr")).mean() > 0.1
     for picture in pictures[1:]:
         assert np.abs(picture - pictures[0]).mean() < 0.01 * pictures[0].mean()

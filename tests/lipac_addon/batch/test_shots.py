@@ -94,7 +94,17 @@ def test_a_split_range_gives_the_same_states(moving: Any, tmp_path: Path) -> Non
 
 
 SUPPLIED = [
-    *(f"small/{name}" for name in ("CesiumMan.glb", "Fox.glb", "Knight.glb", "animation_instanced.blend", "particle_hair.blend", "22_simple_GN.blend")),
+    *(
+        f"small/{name}"
+        for name in (
+            "CesiumMan.glb",
+            "Fox.glb",
+            "Knight.glb",
+            "animation_instanced.blend",
+            "particle_hair.blend",
+            "22_simple_GN.blend",
+        )
+    ),
     *("small/gn_nested_instances.blend", "candela_city.blend", "rooms1024.blend"),
 ]
 
@@ -114,9 +124,12 @@ def test_each_frame_is_what_a_fresh_start_of_it_is(name: str) -> None:
 
 
 def test_each_frame_is_what_a_fresh_start_of_it_is_where_triangles_change(moving: Any) -> None:
-    """One modifier builds a grid face by face, another changes how many copies there are; the camera, and boxes, move and bend."""
+    """One modifier builds a grid face by face, another changes how many copies there are; the camera, and boxes, move
+    and bend."""
     moving.render.resolution_x, moving.render.resolution_y = 48, 27
-    bpy.ops.mesh.primitive_grid_add(x_subdivisions=6, y_subdivisions=6, size=5, location=(0, -2, 2), rotation=(1.2, 0, 0))
+    bpy.ops.mesh.primitive_grid_add(
+        x_subdivisions=6, y_subdivisions=6, size=5, location=(0, -2, 2), rotation=(1.2, 0, 0)
+    )
     build = bpy.context.object.modifiers.new("build", "BUILD")
     build.frame_start, build.frame_duration = 1, 6
     bpy.ops.mesh.primitive_cube_add(size=0.5, location=(-4, -3, 1))
@@ -128,7 +141,8 @@ def test_each_frame_is_what_a_fresh_start_of_it_is_where_triangles_change(moving
 
 
 def assert_as_fresh_starts(scene: Any, frames: Iterable[int]) -> int:
-    """Frames by themselves: states, hits and scores are those of a fresh start, bit for bit. Warm ones, at rest: states and hits up to the hysteresis.
+    """Frames by themselves: states, hits and scores are those of a fresh start, bit for bit. Warm ones, at rest: states
+    and hits up to the hysteresis.
 
     Returns how many meshes had other triangles than in the frame before.
     """
@@ -163,7 +177,9 @@ def test_resuming_does_what_is_missing(moving: Any, tmp_path: Path) -> None:
     do(tmp_path / "at once", (1, 2, 3), engine="path")
     assert files(tmp_path) == files(tmp_path / "at once")
     for k in (1, 2, 3):
-        assert (read_picture(tmp_path / f"frame_000{k}.exr") == read_picture(tmp_path / "at once" / f"frame_000{k}.exr")).all()
+        assert (
+            read_picture(tmp_path / f"frame_000{k}.exr") == read_picture(tmp_path / "at once" / f"frame_000{k}.exr")
+        ).all()
 
 
 def test_what_a_killed_command_left_goes_away(moving: Any, tmp_path: Path) -> None:
@@ -187,7 +203,9 @@ def test_warm_frames(moving: Any, tmp_path: Path) -> None:
     """Each begins with what the last one kept; a resumed range ends in the same states as one at once."""
     do(tmp_path / "a", range(1, 5), warm=True)
     with pytest.raises(Cancelled):
-        run(Job(tmp_path / "b", (1, 2, 3, 4), OPTIONS, warm=True), report(), cancelled=lambda: moving.frame_current == 3)
+        run(
+            Job(tmp_path / "b", (1, 2, 3, 4), OPTIONS, warm=True), report(), cancelled=lambda: moving.frame_current == 3
+        )
     assert [f["frame"] for f in do(tmp_path / "b", range(1, 5), warm=True, resume=True).frames] == [3, 4]
     assert files(tmp_path / "a") == files(tmp_path / "b")
     frames = json.loads((tmp_path / "a" / "report.json").read_text())["frames"]
@@ -231,7 +249,8 @@ def test_a_shot_is_resumed(moving: Any, tmp_path: Path) -> None:
 
 
 def test_a_shot_is_split(moving: Any, tmp_path: Path) -> None:
-    """Parts of it in one folder give the states of the whole; what one has found out the other does not look at again; of other options nothing is taken."""
+    """Parts of it in one folder give the states of the whole; what one has found out the other does not look at again;
+    of other options nothing is taken."""
     whole = tuple(range(1, 7))
     do(tmp_path / "whole", whole, bake=SHOT)
     do(tmp_path / "parts", (1,), bake=SHOT, shot=whole, options=CullOptions(width=24, paths=1))
@@ -247,7 +266,8 @@ def test_a_shot_is_split(moving: Any, tmp_path: Path) -> None:
 
 
 def test_a_baked_file_renders_the_same_without_us(moving: Any, tmp_path: Path) -> None:
-    """Cycles on the saved copy, opened and rendered with nothing of ours, gives the pictures of the command; the open file is as it was."""
+    """Cycles on the saved copy, opened and rendered with nothing of ours, gives the pictures of the command; the open
+    file is as it was."""
     moving.cycles.seed = 0
     visible = {ob.name: ob.hide_render for ob in bpy.data.objects}
     generous = replace(OPTIONS, max_error=Budget(0.2, 1.0))  # so that few paths are sure that something may go
@@ -277,9 +297,19 @@ def test_a_set_of_frames_with_other_instances() -> None:
         keys: dict[str, np.ndarray] = {"kind": np.zeros(n, np.uint8), "host": np.full(n, -1, np.int32)}
         keys["object"] = np.array([names.index(o) for o in objects], np.int32)
         keys["path"] = np.zeros((n, 0), np.int32)
-        return States(np.where(kept, State.ACTIVE, State.CULLED).astype(np.uint8), np.zeros(n, np.float32), np.zeros((n, 5), np.int64), keys, names)
+        return States(
+            np.where(kept, State.ACTIVE, State.CULLED).astype(np.uint8),
+            np.zeros(n, np.float32),
+            np.zeros((n, 5), np.int64),
+            keys,
+            names,
+        )
 
-    a, b, c = frame(["b", "c"], [True, False]), frame(["c", "b"], [False, False]), frame(["a", "c", "d"], [False, True, True])
+    a, b, c = (
+        frame(["b", "c"], [True, False]),
+        frame(["c", "b"], [False, False]),
+        frame(["a", "c", "d"], [False, True, True]),
+    )
     shot = ShotSet()
     for one in (a, b, c):
         shot.add(one)
@@ -292,11 +322,16 @@ def test_a_set_of_frames_with_other_instances() -> None:
 
 
 def test_faces_of_a_shot_are_those_that_any_frame_keeps() -> None:
-    """An object that a frame keeps as a whole, or with another number of faces, stays as a whole; one that a frame culls is as the others say."""
+    """An object that a frame keeps as a whole, or with another number of faces, stays as a whole; one that a frame
+    culls is as the others say."""
 
     def frame(kept: dict[str, list[bool] | bool]) -> States:
         names, n = tuple(kept), len(kept)
-        keys: dict[str, np.ndarray] = {"kind": np.zeros(n, np.uint8), "host": np.full(n, -1, np.int32), "object": np.arange(n, dtype=np.int32)}
+        keys: dict[str, np.ndarray] = {
+            "kind": np.zeros(n, np.uint8),
+            "host": np.full(n, -1, np.int32),
+            "object": np.arange(n, dtype=np.int32),
+        }
         keys["path"] = np.zeros((n, 0), np.int32)
         state = np.array([State.CULLED if value is False else State.ACTIVE for value in kept.values()], np.uint8)
         faces = {name: np.array(value) for name, value in kept.items() if isinstance(value, list)}
@@ -312,7 +347,10 @@ def test_faces_of_a_shot_are_those_that_any_frame_keeps() -> None:
         shot = ShotSet()
         for one in order:
             shot.add(one)
-        assert {name: mask.tolist() for name, mask in shot.faces.items()} == {"a": [True, False, True], "d": [True, False, True]}
+        assert {name: mask.tolist() for name, mask in shot.faces.items()} == {
+            "a": [True, False, True],
+            "d": [True, False, True],
+        }
 
 
 def test_a_whole_render_is_only_counted(moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -321,10 +359,16 @@ def test_a_whole_render_is_only_counted(moving: Any, tmp_path: Path, monkeypatch
     monkeypatch.setattr(Extractor, "frame", lambda *_: pytest.fail("extracted"))
     r = do(tmp_path, (2,), engine="cycles", options=CullOptions(policy="none"))
     n = len(expected.scene.instances)
-    assert (r.frames[0]["instances"], r.frames[0]["active"], r.frames[0]["meshes"]) == (n, n, len(expected.scene.meshes))
+    assert (r.frames[0]["instances"], r.frames[0]["active"], r.frames[0]["meshes"]) == (
+        n,
+        n,
+        len(expected.scene.meshes),
+    )
     states = load_states(tmp_path / "states" / "frame_0002.npz")
     assert (states.state == State.ACTIVE).all()
-    assert [states.names[k] for k in states.keys["object"]] == [expected.keys.names[k] for k in expected.keys.records["object"]]
+    assert [states.names[k] for k in states.keys["object"]] == [
+        expected.keys.names[k] for k in expected.keys.records["object"]
+    ]
 
 
 def resident() -> float:
@@ -335,7 +379,8 @@ def resident() -> float:
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
 @pytest.mark.parametrize(("keep", "last"), [(True, 40), (False, 25)], ids=["graph kept", "graph anew"])
 def test_memory_is_flat(moving: Any, tmp_path: Path, keep: bool, last: int) -> None:
-    """A mesh of 40,000 vertices deforms, and is loaded and built in each frame. If one array of it stayed, the smallest has 0.48 MB, that would be seen."""
+    """A mesh of 40,000 vertices deforms, and is loaded and built in each frame. If one array of it stayed, the smallest
+    has 0.48 MB, that would be seen."""
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=200, y_subdivisions=200, size=4, location=(0, -2, 3))
     wave = bpy.context.object.modifiers.new("w", "WAVE")
     wave.height, wave.time_offset = 0.3, -100
@@ -357,7 +402,8 @@ def test_memory_is_flat(moving: Any, tmp_path: Path, keep: bool, last: int) -> N
 
 
 def test_the_last_frame_keeps_nothing_to_compare_it_with(boxes: Any, tmp_path: Path) -> None:
-    """What Blender gave of a scatter, 64 bytes an instance, is let go of before the analysis; meshes can still be read."""
+    """What Blender gave of a scatter, 64 bytes an instance, is let go of before the analysis; meshes can still be
+    read."""
     box = bpy.data.objects["box1"]
     host = bpy.data.objects.new("host", box.data)
     bpy.context.scene.collection.objects.link(host)
@@ -365,7 +411,11 @@ def test_the_last_frame_keeps_nothing_to_compare_it_with(boxes: Any, tmp_path: P
     session = Session(Job(tmp_path, (1,), OPTIONS, "cycles"))
     extraction, _ = session.sync(1)
     assert session._extractor is not None
-    found = [node.geometry.columns for node in session._extractor._reader.graph._order if node.geometry is not None and len(node.geometry.columns)]
+    found = [
+        node.geometry.columns
+        for node in session._extractor._reader.graph._order
+        if node.geometry is not None and len(node.geometry.columns)
+    ]
     columns = [weakref.ref(array) for array in found]
     assert len(columns) == 1
     found.clear()

@@ -58,7 +58,8 @@ def test_crops_differ_from_each_other_and_by_seed() -> None:
 
 
 def test_what_noise_may_make_is_taken_off() -> None:
-    """Independent noise of 30 % in both pictures: the change that is surely there is none. A twentieth less light in a crop: most of that."""
+    """Independent noise of 30 % in both pictures: the change that is surely there is none. A twentieth less light in a
+    crop: most of that."""
     rng = np.random.default_rng(4)
     full, same, darker = (1 + 0.3 * rng.standard_normal((60, 80, 4)).astype(np.float32) for _ in range(3))
     noise, real = change([full], [same], ((0, 0),)), change([full], [0.8 * darker], ((0, 0),))
@@ -69,12 +70,16 @@ def test_what_noise_may_make_is_taken_off() -> None:
 
 
 def test_noise_of_few_pixels_breaks_no_budget() -> None:
-    """Pairs of independent noise, 4 x 4 pixels in each of 144 tiles: the mean size of noise is no change, and some tile is always off by a lot."""
+    """Pairs of independent noise, 4 x 4 pixels in each of 144 tiles: the mean size of noise is no change, and some tile
+    is always off by a lot."""
     rng = np.random.default_rng(1)
     crops = tuple((x, y) for y in range(GRID[1]) for x in range(GRID[0]))
     found = []
     for _ in range(40):
-        full, culled = ([rng.gamma(2.0, 0.5, (12, 16, 1)).astype(np.float32) * np.ones(4, np.float32) for _ in crops] for _ in range(2))
+        full, culled = (
+            [rng.gamma(2.0, 0.5, (12, 16, 1)).astype(np.float32) * np.ones(4, np.float32) for _ in crops]
+            for _ in range(2)
+        )
         found.append(change(full, culled, crops))
     assert min(one.mean for one in found) > 0.1
     assert sum(one.least_mean > 0 for one in found) == 0
@@ -82,8 +87,11 @@ def test_noise_of_few_pixels_breaks_no_budget() -> None:
 
 
 @pytest.mark.parametrize("enforce", [False, True])
-def test_a_broken_budget_warns_or_is_enforced(boxes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, enforce: bool) -> None:
-    """An analysis that takes any change for none: the engine's pictures say otherwise. Enforced, the last attempt keeps everything."""
+def test_a_broken_budget_warns_or_is_enforced(
+    boxes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, enforce: bool
+) -> None:
+    """An analysis that takes any change for none: the engine's pictures say otherwise. Enforced, the last attempt keeps
+    everything."""
     decide = session.Session.decide
 
     def blind(self: session.Session, *args: Any) -> Any:

@@ -1,4 +1,5 @@
-"""crowd: as many figures as asked, each deformed on its own, of any character file; what the camera does not see is not built."""
+"""crowd: as many figures as asked, each deformed on its own, of any character file; what the camera does not see is not
+built."""
 
 from __future__ import annotations
 
@@ -44,7 +45,11 @@ def test_every_figure_has_a_shape_of_its_own_and_moves() -> None:
 
 
 def test_the_same_seed_gives_the_same_crowd_and_streets_fill_one_after_the_other() -> None:
-    a, b, c = crowd.places(600, np.random.default_rng(4)), crowd.places(600, np.random.default_rng(4)), crowd.places(600, np.random.default_rng(5))
+    a, b, c = (
+        crowd.places(600, np.random.default_rng(4)),
+        crowd.places(600, np.random.default_rng(4)),
+        crowd.places(600, np.random.default_rng(5)),
+    )
     np.testing.assert_array_equal(a, b)
     assert (a != c).any()
     assert np.bincount(a[:, 2].astype(int)).tolist() == [crowd.PER_STREET, crowd.PER_STREET, 100]
@@ -81,7 +86,9 @@ def test_figures_of_other_streets_are_never_built() -> None:
     result = shot.advance(scene)
     figures = np.flatnonzero(np.bincount(scene.instances.mesh, minlength=len(scene.meshes))[scene.instances.mesh] == 1)
     middle = (scene.instances.bounds.mean(axis=1) + scene.origin)[:, 0]
-    other = figures[(middle[figures] > 30) & (middle[figures] < 54) & (scene.instances.bounds[figures, 1, 2] + scene.origin[2] < 3)]
+    other = figures[
+        (middle[figures] > 30) & (middle[figures] < 54) & (scene.instances.bounds[figures, 1, 2] + scene.origin[2] < 3)
+    ]
     assert len(other) == 30
     assert not result.active[other].any()
     assert result.active[figures].sum() > 10
@@ -89,7 +96,10 @@ def test_figures_of_other_streets_are_never_built() -> None:
     assert shot.loop.blas.scenes[scene.instances.mesh[other]].astype(bool).sum() == 0
 
 
-@pytest.mark.parametrize(("count", "figure", "says"), [(0, None, "--instances"), (20_001, None, "--instances"), (3, Path("no.glb"), "no such file")])
+@pytest.mark.parametrize(
+    ("count", "figure", "says"),
+    [(0, None, "--instances"), (20_001, None, "--instances"), (3, Path("no.glb"), "no such file")],
+)
 def test_unusable_requests_say_what_to_do(count: int, figure: Path | None, says: str) -> None:
     with pytest.raises(InputError, match=says):
         build("crowd", count, 0, figure)

@@ -1,4 +1,5 @@
-"""`family`: a seed is a scene, its instances are as large and as many as drawn; budgets hold on a few dozen, judged by paths that no analysis used."""
+"""`family`: a seed is a scene, its instances are as large and as many as drawn; budgets hold on a few dozen, judged by
+paths that no analysis used."""
 
 from __future__ import annotations
 
@@ -38,7 +39,11 @@ def small(seed: int) -> Scene:
 
 def seed_of(**wanted: object) -> int:
     """The first seed that draws these."""
-    return next(seed for seed in range(10_000) if all(getattr(family.draw(seed), name) == value for name, value in wanted.items()))
+    return next(
+        seed
+        for seed in range(10_000)
+        if all(getattr(family.draw(seed), name) == value for name, value in wanted.items())
+    )
 
 
 def test_draws_cover_what_they_are_to_cover() -> None:
@@ -49,7 +54,8 @@ def test_draws_cover_what_they_are_to_cover() -> None:
     for values, low, high in (([d.pixels for d in draws], 0.1, 100.0), ([d.mean for d in draws], *family.BUDGETS)):
         assert low <= min(values) < 1.05 * low
         assert 0.9 * high < max(values) <= high
-        assert abs(np.mean(np.log(values)) - math.log(low * high) / 2) < 0.1 * math.log(high / low)  # the same number in each octave, about
+        # the same number in each octave, about
+        assert abs(np.mean(np.log(values)) - math.log(low * high) / 2) < 0.1 * math.log(high / low)
     assert 150 < min(d.count for d in draws) < family.FEWEST  # what is large comes in smaller numbers
     assert max(d.count for d in draws) > 50_000
     ratios = np.array([d.worst / d.mean for d in draws])
@@ -62,7 +68,8 @@ def test_draws_cover_what_they_are_to_cover() -> None:
 def test_every_kind_has_its_instances(kind: str) -> None:
     seed = seed_of(kind=kind, clusters=False)
     scene, most = small(seed), min(family.draw(seed).count, FEW)
-    assert (0.7 if kind == "marks" else 1.0) * most <= len(scene.instances) <= most + 12  # gaps between words; walls, floors and furniture
+    # gaps between words; walls, floors and furniture
+    assert (0.7 if kind == "marks" else 1.0) * most <= len(scene.instances) <= most + 12
     assert np.isfinite(scene.instances.transform).all()
 
 
@@ -70,7 +77,10 @@ def test_a_seed_is_a_scene() -> None:
     first, second, other = small(5), small(5), small(6)
     np.testing.assert_array_equal(first.instances.transform, second.instances.transform)
     np.testing.assert_array_equal(first.materials, second.materials)
-    assert other.instances.transform.shape != first.instances.transform.shape or (other.instances.transform != first.instances.transform).any()
+    assert (
+        other.instances.transform.shape != first.instances.transform.shape
+        or (other.instances.transform != first.instances.transform).any()
+    )
 
 
 def test_instances_are_as_large_as_drawn() -> None:
@@ -105,7 +115,8 @@ def test_unusable_numbers_are_refused(instances: int | None, seed: int) -> None:
 
 @pytest.mark.slow
 def test_budgets_hold_on_a_few_dozen() -> None:
-    """Judged by the path tracer, by pairs of pictures whose random numbers no analysis had. Budgets are used, too: a quarter would often not do."""
+    """Judged by the path tracer, by pairs of pictures whose random numbers no analysis had. Budgets are used, too: a
+    quarter would often not do."""
     times, kept = {}, []
     for kind in family_kinds.KINDS:
         for seed in itertools.islice((seed for seed in itertools.count(100) if family.draw(seed).kind == kind), EACH):
@@ -124,6 +135,10 @@ def judged(scene: Scene, keep: np.ndarray, mean: float, worst: float) -> float:
     """How many times a budget culling surely takes, by luminance or colour, of the worst tile or the mean."""
     loop, pairs = Loop(scene, CullOptions(seed=JUDGE, width=WIDTH)), Pairs()
     for first in (0, SAMPLES):
-        pairs.add(loop.tracer.trace_again(loop.activation.exists, first, SAMPLES), loop.tracer.trace_again(keep, first, SAMPLES), SAMPLES)
+        pairs.add(
+            loop.tracer.trace_again(loop.activation.exists, first, SAMPLES),
+            loop.tracer.trace_again(keep, first, SAMPLES),
+            SAMPLES,
+        )
     changes = pairs.changes()
     return max(changes[name].times(mean, worst).low for name in MEASURES[:2])

@@ -1,4 +1,5 @@
-"""flythrough: the camera drives on, turns the corner without a jump, is elsewhere for a while, and ends where mirror-city stands; nothing is in its way."""
+"""flythrough: the camera drives on, turns the corner without a jump, is elsewhere for a while, and ends where
+mirror-city stands; nothing is in its way."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ def test_the_drive_is_smooth_and_turns_a_corner() -> None:
         place.append(matrix[:3, 3])
         ahead.append(-matrix[:3, 2])
     away = slice(flythrough.CUT, flythrough.BACK)
-    assert np.linalg.norm(np.array(place[away])[:, None] - np.delete(place, away, axis=0), axis=2).min() > 80.0  # metres
+    # metres
+    assert np.linalg.norm(np.array(place[away])[:, None] - np.delete(place, away, axis=0), axis=2).min() > 80.0
     place, ahead = list(np.delete(place, away, axis=0)), list(np.delete(ahead, away, axis=0))
     step = np.linalg.norm(np.diff(place, axis=0), axis=1)
     assert step.max() < 3.0
@@ -38,7 +40,8 @@ def test_nothing_stands_in_the_way() -> None:
     assert len(points) == 3000
     path = flythrough.path()[:, :2]
     distance = np.linalg.norm(points[:, None, :2] - path[None], axis=2).min(axis=1)
-    assert distance[kind < mirror_city.TOWN_HOUSES + mirror_city.SUBURB_HOUSES].min() >= 7.0  # houses: half of their width, or of a road
+    # houses: half of their width, or of a road
+    assert distance[kind < mirror_city.TOWN_HOUSES + mirror_city.SUBURB_HOUSES].min() >= 7.0
     assert distance.min() > 1.5
 
 

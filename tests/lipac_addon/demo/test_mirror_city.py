@@ -1,4 +1,5 @@
-"""mirror-city: as many instances as asked, the same street for every count, nothing in it that the engine does not support."""
+"""mirror-city: as many instances as asked, the same street for every count, nothing in it that the engine does not
+support."""
 
 from __future__ import annotations
 
@@ -38,13 +39,19 @@ def test_blender_makes_the_instances_that_layout_places() -> None:
 
 def test_the_street_is_the_same_at_every_count_and_the_rest_is_outside_of_it() -> None:
     small, large = (mirror_city.layout(n, np.random.default_rng(0)) for n in (1_000, 30_000))
-    suburb_house = (small[1] >= mirror_city.TOWN_HOUSES) & (small[1] < mirror_city.TOWN_HOUSES + mirror_city.SUBURB_HOUSES)
+    suburb_house = (small[1] >= mirror_city.TOWN_HOUSES) & (
+        small[1] < mirror_city.TOWN_HOUSES + mirror_city.SUBURB_HOUSES
+    )
     street = int(np.argmax(suburb_house))  # a block starts with its houses
     assert 100 < street < 1_000
     for a, b in zip(small, large, strict=True):
         np.testing.assert_array_equal(a[:street], b[:street])
     points, kind = large[0][street:], large[1][street:]
-    inside = (np.abs(points[:, 0]) < mirror_city.HALF_STREET + DEPTH) & (points[:, 1] > mirror_city.SOUTH - DEPTH) & (points[:, 1] < mirror_city.NORTH + DEPTH)
+    inside = (
+        (np.abs(points[:, 0]) < mirror_city.HALF_STREET + DEPTH)
+        & (points[:, 1] > mirror_city.SOUTH - DEPTH)
+        & (points[:, 1] < mirror_city.NORTH + DEPTH)
+    )
     assert not inside.any()
     assert (kind >= mirror_city.TOWN_HOUSES).all()
 
@@ -63,7 +70,10 @@ def test_no_house_of_the_suburbs_rises_above_the_street() -> None:
     """Else the city would look over the roofs and the picture would change with the number of instances."""
     build("mirror-city", 1_000)
     height = np.array([o.bound_box[6][2] for o in bpy.data.collections["City parts"].objects])
-    town, suburb = height[: mirror_city.TOWN_HOUSES], height[mirror_city.TOWN_HOUSES : mirror_city.TOWN_HOUSES + mirror_city.SUBURB_HOUSES]
+    town, suburb = (
+        height[: mirror_city.TOWN_HOUSES],
+        height[mirror_city.TOWN_HOUSES : mirror_city.TOWN_HOUSES + mirror_city.SUBURB_HOUSES],
+    )
     assert suburb.max() < town.min()
 
 
@@ -77,7 +87,8 @@ def test_all_materials_are_plain_principled() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "count", "says"), [("no-such", 1_000, "mirror-city"), ("mirror-city", 999, "--instances"), ("mirror-city", 1_000_001, "--instances")]
+    ("name", "count", "says"),
+    [("no-such", 1_000, "mirror-city"), ("mirror-city", 999, "--instances"), ("mirror-city", 1_000_001, "--instances")],
 )
 def test_unusable_requests_say_what_to_do(name: str, count: int, says: str) -> None:
     with pytest.raises(InputError, match=says):

@@ -19,7 +19,8 @@ ANALYSIS = 128  # what dark tiles of 9 pixels need, to tell what they see from w
 
 @pytest.fixture(scope="module")
 def states() -> States:
-    """The analyses of a small city at budgets of 1 % and of nothing, and the brute-force counts. The measured paths are among the brute-force ones."""
+    """The analyses of a small city at budgets of 1 % and of nothing, and the brute-force counts. The measured paths are
+    among the brute-force ones."""
     import bpy
 
     from lipac.lipac_addon import demo
@@ -53,7 +54,8 @@ def test_what_shows_nowhere_is_culled(states: States) -> None:
 def test_what_paths_need_is_active(states: States) -> None:
     _, result, brute = states
     met = brute.hits.sum(axis=1)
-    # Met by a share p of paths, an instance escapes the 128 paths of 48 x 27 pixels with probability (1 - p)**165888: below 1e-6 from this share on.
+    # Met by a share p of paths, an instance escapes the 128 paths of 48 x 27 pixels with probability (1 - p)**165888:
+    # below 1e-6 from this share on.
     sure = met >= brute.paths * (1 - 1e-6 ** (1 / (ANALYSIS * 48 * 27)))
     assert sure.sum() > 30
     assert result.active[sure].all()

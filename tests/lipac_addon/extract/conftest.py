@@ -29,7 +29,13 @@ def shared() -> Path:
 
 
 def add(
-    name: str, data: Any = None, collection: Any = None, location: Any = (0, 0, 0), rotation: Any = (0, 0, 0), scale: Any = (1, 1, 1), parent: Any = None
+    name: str,
+    data: Any = None,
+    collection: Any = None,
+    location: Any = (0, 0, 0),
+    rotation: Any = (0, 0, 0),
+    scale: Any = (1, 1, 1),
+    parent: Any = None,
 ) -> Any:
     """An object with the given data in a collection (default: the scene's)."""
     item = bpy.data.objects.new(name, data)
@@ -69,8 +75,8 @@ def instance_of(name: str, instanced: Any, **place: Any) -> Any:
 
 
 def nodes(host: Any, build: Callable[[Any, Callable[..., Any]], Any]) -> Any:
-    """A geometry-nodes modifier on an object. build(input geometry socket, new) returns the output geometry socket; new(type, {input: value}, **properties)
-    makes a node whose inputs are set from values or sockets."""
+    """A geometry-nodes modifier on an object. build(input geometry socket, new) returns the output geometry socket;
+    new(type, {input: value}, **properties) makes a node whose inputs are set from values or sockets."""
     tree = bpy.data.node_groups.new("nodes", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
@@ -96,12 +102,18 @@ def nodes(host: Any, build: Callable[[Any, Callable[..., Any]], Any]) -> Any:
 
 def scattered(new: Callable[..., Any], points: Any, instance: Any, seed: int = 0, pick: bool = False) -> Any:
     """Instances on points with random rotation and a scale that is non-uniform and negative for some."""
-    rotation = new("FunctionNodeRandomValue", {0: (0, 0, 0), 1: (6, 6, 6), "Seed": seed}, data_type="FLOAT_VECTOR").outputs[0]
-    scale = new("FunctionNodeRandomValue", {0: (-1, 0.2, 0.5), 1: (1.5, 2, 1), "Seed": seed + 1}, data_type="FLOAT_VECTOR").outputs[0]
+    rotation = new(
+        "FunctionNodeRandomValue", {0: (0, 0, 0), 1: (6, 6, 6), "Seed": seed}, data_type="FLOAT_VECTOR"
+    ).outputs[0]
+    scale = new(
+        "FunctionNodeRandomValue", {0: (-1, 0.2, 0.5), 1: (1.5, 2, 1), "Seed": seed + 1}, data_type="FLOAT_VECTOR"
+    ).outputs[0]
     inputs = {"Points": points, "Instance": instance, "Rotation": rotation, "Scale": scale, "Pick Instance": pick}
     return new("GeometryNodeInstanceOnPoints", inputs).outputs[0]
 
 
 def grid(new: Callable[..., Any], side: int, size: float = 20.0) -> Any:
     """Points of a grid, side x side."""
-    return new("GeometryNodeMeshGrid", {"Size X": size, "Size Y": size, "Vertices X": side, "Vertices Y": side}).outputs[0]
+    return new(
+        "GeometryNodeMeshGrid", {"Size X": size, "Size Y": size, "Vertices X": side, "Vertices Y": side}
+    ).outputs[0]

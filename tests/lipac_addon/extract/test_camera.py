@@ -27,13 +27,17 @@ def project(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "fit", "size"), list(itertools.product(("PERSP", "ORTHO"), ("AUTO", "HORIZONTAL", "VERTICAL"), ((320, 180), (180, 320), (200, 200))))
+    ("kind", "fit", "size"),
+    list(
+        itertools.product(("PERSP", "ORTHO"), ("AUTO", "HORIZONTAL", "VERTICAL"), ((320, 180), (180, 320), (200, 200)))
+    ),
 )
 def test_projection_is_blenders(kind: str, fit: str, size: tuple[int, int]) -> None:
-    """Points project where `world_to_camera_view` and `view_frame` put them, whatever the shift, fit, aspect and object scale."""
+    """Points project where `world_to_camera_view` and `view_frame` put them, whatever the shift, fit, aspect and object
+    scale."""
     scene = bpy.context.scene
     render, item = scene.render, scene.camera
-    render.resolution_x, render.resolution_y, render.resolution_percentage = (2 * size[0], 2 * size[1], 50)
+    render.resolution_x, render.resolution_y, render.resolution_percentage = 2 * size[0], 2 * size[1], 50
     item.scale = (2, 2, 2)
     data = item.data
     data.type, data.sensor_fit, data.lens, data.ortho_scale, data.shift_x, data.shift_y = kind, fit, 35, 7, 0.1, -0.2
@@ -46,7 +50,9 @@ def test_projection_is_blenders(kind: str, fit: str, size: tuple[int, int]) -> N
         camera = extract_camera(item, scene, film)
         corners = np.array(data.view_frame(scene=scene))
         depth = 1.0 if kind == "ORTHO" else -corners[0, 2]
-        expected = np.array([corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()]) / depth
+        expected = (
+            np.array([corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()]) / depth
+        )
         np.testing.assert_allclose(camera.frame, expected, rtol=1e-5, atol=1e-6)  # float32 of values around 1
         points = np.random.default_rng(1).uniform(-4, 4, (20, 3))
         blender = np.array([world_to_camera_view(scene, item, Vector(p))[:2] for p in points])

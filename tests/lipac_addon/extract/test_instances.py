@@ -23,7 +23,8 @@ Groups = dict[tuple[Any, ...], list[np.ndarray]]
 
 
 def oracle(depsgraph: Any) -> Groups:
-    """Transforms of what Cycles would take, by (object, top-level object, flags, triangles): read one by one, rules as in Cycles' `blender/object.cpp`."""
+    """Transforms of what Cycles would take, by (object, top-level object, flags, triangles): read one by one, rules as
+    in Cycles' `blender/object.cpp`."""
     layer = depsgraph.view_layer_eval
     groups: Groups = defaultdict(list)
     for entry in depsgraph.object_instances:
@@ -38,7 +39,9 @@ def oracle(depsgraph: Any) -> Groups:
         m = np.array(entry.matrix_world)[:3]
         if not flags or not usable_transforms(m[None].astype(float))[0]:
             continue
-        flags |= (InstanceFlag.HOLDOUT if holdout else 0) | (InstanceFlag.SHADOW_CATCHER if entry.object.is_shadow_catcher or parent.is_shadow_catcher else 0)
+        flags |= (InstanceFlag.HOLDOUT if holdout else 0) | (
+            InstanceFlag.SHADOW_CATCHER if entry.object.is_shadow_catcher or parent.is_shadow_catcher else 0
+        )
         source = entry.instance_object if entry.is_instance else entry.object
         groups[full_name(source), full_name(parent), int(flags), len(data.loop_triangles)].append(m)
     return groups
@@ -62,9 +65,9 @@ def fast(extraction: Extraction) -> Groups:
 def assert_same(a: Groups, b: Groups) -> None:
     """Equal up to order and to float32's rounding along chains of transforms.
 
-    Matrices are compared by random projections, sorted: equal multisets have equal sorted projections. Blender multiplies up to 8 matrices in float32,
-    each product sums 4 terms: 32 roundings of half an epsilon, of values up to the largest entry; a projection onto a unit vector of 12 entries adds a
-    factor of sqrt(12).
+    Matrices are compared by random projections, sorted: equal multisets have equal sorted projections. Blender
+    multiplies up to 8 matrices in float32, each product sums 4 terms: 32 roundings of half an epsilon, of values up to
+    the largest entry; a projection onto a unit vector of 12 entries adds a factor of sqrt(12).
     """
     assert {k: len(v) for k, v in a.items()} == {k: len(v) for k, v in b.items()}
     axes = np.random.default_rng(0).normal(size=(12, 4))
@@ -79,7 +82,9 @@ def assert_same(a: Groups, b: Groups) -> None:
 def check() -> Extraction:
     """Compares both ways on the current scene."""
     world = extract_world(bpy.context.scene)
-    extraction, expected = with_render_depsgraph(bpy.context.scene, None, lambda graph: (extract(graph, world, allow_no_camera=True), oracle(graph)))
+    extraction, expected = with_render_depsgraph(
+        bpy.context.scene, None, lambda graph: (extract(graph, world, allow_no_camera=True), oracle(graph))
+    )
     assert_same(expected, fast(extraction))
     return extraction
 
@@ -90,7 +95,8 @@ def kinds(extraction: Extraction) -> dict[Kind, int]:
 
 
 def test_objects_with_render_visibility() -> None:
-    """Hidden, excluded, holdout, indirect-only, ray visibility, negative and non-uniform scale: as rendered, not as shown in the viewport."""
+    """Hidden, excluded, holdout, indirect-only, ray visibility, negative and non-uniform scale: as rendered, not as
+    shown in the viewport."""
     mesh = wedge()
     add("plain", mesh, location=(1, 2, 3), rotation=(0.1, 0.2, 0.3), scale=(-1, 2, 0.5))
     add("hidden", mesh).hide_render = True
@@ -139,7 +145,8 @@ def test_every_object_type_with_faces() -> None:
 
 
 def test_linked_duplicates_share_a_mesh() -> None:
-    """One mesh for all; a material linked to an object changes that instance alone; modifiers make a mesh of its own."""
+    """One mesh for all; a material linked to an object changes that instance alone; modifiers make a mesh of its
+    own."""
     mesh = cube()
     red, green = (bpy.data.materials.new(n) for n in ("red", "green"))
     mesh.materials.append(red)
@@ -174,7 +181,12 @@ def test_nested_collection_instances() -> None:
         instance_of(f"a {k}", inner, collection=middle, location=(k, 1, 0), rotation=(k, 0, 0), scale=(1, 1 + k, -1))
     host = add("scatter", cube(), middle, location=(0, 3, 0))
     source = add("source", wedge(), collection("sources"))
-    nodes(host, lambda g, new: scattered(new, g, new("GeometryNodeObjectInfo", {"Object": source, "As Instance": True}).outputs["Geometry"]))
+    nodes(
+        host,
+        lambda g, new: scattered(
+            new, g, new("GeometryNodeObjectInfo", {"Object": source, "As Instance": True}).outputs["Geometry"]
+        ),
+    )
     for k in range(3):
         instance_of(f"b {k}", middle, collection=outer, location=(0, 0, k))
     instance_of("hidden itself", inner, collection=outer).show_instancer_for_render = False
@@ -193,7 +205,8 @@ def test_nested_collection_instances() -> None:
 
 
 def test_geometry_nodes_of_every_reference() -> None:
-    """Instances of an object, of a collection (whole and children), of a geometry, of realised ones, nested, picked; beside a mesh; hosted by a curve."""
+    """Instances of an object, of a collection (whole and children), of a geometry, of realised ones, nested, picked;
+    beside a mesh; hosted by a curve."""
     leaf = add("leaf", wedge(), location=(1, 1, 1), rotation=(0.3, 0, 0), scale=(2, 1, 1))
     pool = collection("pool")
     pool.instance_offset = (0, 0, 2)
@@ -205,7 +218,11 @@ def test_geometry_nodes_of_every_reference() -> None:
         return {"location": (0, 30 * k, 0), "rotation": (0.1 * k, 0, 0.2), "scale": (1, 1, -1 if k % 2 else 1.5)}
 
     def info(new: Any, relative: bool = False) -> Any:
-        return new("GeometryNodeObjectInfo", {"Object": leaf, "As Instance": True}, transform_space="RELATIVE" if relative else "ORIGINAL").outputs["Geometry"]
+        return new(
+            "GeometryNodeObjectInfo",
+            {"Object": leaf, "As Instance": True},
+            transform_space="RELATIVE" if relative else "ORIGINAL",
+        ).outputs["Geometry"]
 
     def members(new: Any, separate: bool) -> Any:
         inputs = {"Collection": pool, "Separate Children": separate}
@@ -218,14 +235,20 @@ def test_geometry_nodes_of_every_reference() -> None:
 
     def nested(g: Any, new: Any) -> Any:
         primitive = new("GeometryNodeMeshIcoSphere", {}).outputs[0]
-        inner = scattered(new, grid(new, 3, 2.0), new("GeometryNodeJoinGeometry", {0: [primitive, info(new, True)]}).outputs[0], 4)
+        inner = scattered(
+            new, grid(new, 3, 2.0), new("GeometryNodeJoinGeometry", {0: [primitive, info(new, True)]}).outputs[0], 4
+        )
         both = new("GeometryNodeJoinGeometry", {0: [inner, members(new, False), primitive]}).outputs[0]
-        return new("GeometryNodeJoinGeometry", {0: [scattered(new, grid(new, 3), new("GeometryNodeGeometryToInstance", {0: both}).outputs[0], 5), g]}).outputs[
-            0
-        ]
+        return new(
+            "GeometryNodeJoinGeometry",
+            {0: [scattered(new, grid(new, 3), new("GeometryNodeGeometryToInstance", {0: both}).outputs[0], 5), g]},
+        ).outputs[0]
 
     nodes(hosts[3], nested)
-    nodes(hosts[4], lambda g, new: new("GeometryNodeRealizeInstances", {0: scattered(new, grid(new, 4), info(new), 6)}).outputs[0])
+    nodes(
+        hosts[4],
+        lambda g, new: new("GeometryNodeRealizeInstances", {0: scattered(new, grid(new, 4), info(new), 6)}).outputs[0],
+    )
 
     def reuse(g: Any, new: Any) -> Any:
         other = new("GeometryNodeObjectInfo", {"Object": hosts[0], "As Instance": True}).outputs["Geometry"]
@@ -233,26 +256,38 @@ def test_geometry_nodes_of_every_reference() -> None:
 
     nodes(hosts[5], reuse)  # instances of an object that scatters itself
     hosts[6].show_instancer_for_render = False
-    nodes(hosts[6], lambda g, new: new("GeometryNodeJoinGeometry", {0: [g, scattered(new, grid(new, 2), info(new), 8)]}).outputs[0])
+    nodes(
+        hosts[6],
+        lambda g, new: new("GeometryNodeJoinGeometry", {0: [g, scattered(new, grid(new, 2), info(new), 8)]}).outputs[0],
+    )
     curve = bpy.data.curves.new("curve", "CURVE")
     curve.splines.new("POLY").points.add(3)
     hosted = add("curve host", curve, location=(40, 0, 0))
     nodes(hosted, lambda g, new: scattered(new, new("GeometryNodeMeshCube", {}).outputs[0], members(new, True), 9))
     empty = instance_of("empty", pool, location=(-20, 0, 0), rotation=(0, 0, 1))
     last = add("host of empty", cube(), location=(60, 0, 0))
-    nodes(last, lambda g, new: scattered(new, g, new("GeometryNodeObjectInfo", {"Object": empty, "As Instance": True}).outputs["Geometry"], 10))
+    nodes(
+        last,
+        lambda g, new: scattered(
+            new, g, new("GeometryNodeObjectInfo", {"Object": empty, "As Instance": True}).outputs["Geometry"], 10
+        ),
+    )
     text = bpy.data.curves.new("text", "FONT")
     text.body, text.extrude = "a", 0.1
-    for k, (name, data) in enumerate(
-        (("hidden text", text), ("text", text), ("hidden cube", cube()))
-    ):  # hide_render does not reach instances of the object itself
+    # hide_render does not reach instances of the object itself
+    for k, (name, data) in enumerate((("hidden text", text), ("text", text), ("hidden cube", cube()))):
         hidden = add(name, data, location=(0, 0, 9))
         hidden.hide_render = name.startswith("hidden")
         if data is not text:
-            nodes(hidden, lambda g, new: new("GeometryNodeJoinGeometry", {0: [g, scattered(new, g, info(new), 11)]}).outputs[0])
+            nodes(
+                hidden,
+                lambda g, new: new("GeometryNodeJoinGeometry", {0: [g, scattered(new, g, info(new), 11)]}).outputs[0],
+            )
 
         def instance(g: Any, new: Any, source: Any = hidden) -> Any:
-            return scattered(new, g, new("GeometryNodeObjectInfo", {"Object": source, "As Instance": True}).outputs["Geometry"], 12)
+            return scattered(
+                new, g, new("GeometryNodeObjectInfo", {"Object": source, "As Instance": True}).outputs["Geometry"], 12
+            )
 
         nodes(add(f"host of {name}", cube(), location=(80, 20 * k, 0)), instance)
     extraction = check()
@@ -277,13 +312,21 @@ def test_blocks_give_the_same_as_one_piece(monkeypatch: pytest.MonkeyPatch) -> N
 def hair(emitter: Any, **settings: Any) -> None:
     """A hair system on an object, rendered as instances."""
     modifier = emitter.modifiers.new("p", "PARTICLE_SYSTEM")
-    values = {"type": "HAIR", "count": 30, "use_advanced_hair": True, "particle_size": 0.3, "size_random": 0.5, **settings}
+    values = {
+        "type": "HAIR",
+        "count": 30,
+        "use_advanced_hair": True,
+        "particle_size": 0.3,
+        "size_random": 0.5,
+        **settings,
+    }
     for name, value in values.items():
         setattr(modifier.particle_system.settings, name, value)
 
 
 def test_particles() -> None:
-    """Particle instances of an object and of a collection, at the top and inside a collection instance; of an object that scatters by nodes."""
+    """Particle instances of an object and of a collection, at the top and inside a collection instance; of an object
+    that scatters by nodes."""
     leaf = add("leaf", wedge(), location=(0, 0, -30))
     pool = collection("pool")
     add("p", cube(), pool, location=(0, 0, -40))
@@ -301,7 +344,10 @@ def test_particles() -> None:
     hair(add("emitter 4", cube("emitter 4", 2.0), location=(40, 0, 0)), render_type="OBJECT", instance_object=scatter)
 
     def with_sphere(geometry: Any, new: Any) -> Any:
-        return new("GeometryNodeJoinGeometry", {0: [geometry, scattered(new, geometry, new("GeometryNodeMeshIcoSphere", {}).outputs[0])]}).outputs[0]
+        return new(
+            "GeometryNodeJoinGeometry",
+            {0: [geometry, scattered(new, geometry, new("GeometryNodeMeshIcoSphere", {}).outputs[0])]},
+        ).outputs[0]
 
     for k, build in enumerate((lambda g, new: g, with_sphere)):  # beside nodes: that only deform, and that instance
         both = add(f"both {k}", cube(f"both {k}", 4.0), location=(60, 20 * k, 0))
@@ -358,7 +404,8 @@ def test_bad_transforms_are_left_out() -> None:
 
 
 def test_far_from_the_world_origin() -> None:
-    """1e6 m out, positions relative to the camera keep the millimetres that Blender's own float32 matrices hold (1/16 m steps): nothing is added to that."""
+    """1e6 m out, positions relative to the camera keep the millimetres that Blender's own float32 matrices hold (1/16 m
+    steps): nothing is added to that."""
     far = 1e6
     bpy.context.scene.camera.location = (far, far, 0)
     add("a", wedge(), location=(far + 0.5, far, 0))
@@ -410,7 +457,9 @@ def looks_around(why: str) -> bpy.types.Material:
     return material
 
 
-@pytest.mark.parametrize("why", ["", "small", "instanced", "holdout", "hair", "adaptive", "subsurface", "volume", "islands"])
+@pytest.mark.parametrize(
+    "why", ["", "small", "instanced", "holdout", "hair", "adaptive", "subsurface", "volume", "islands"]
+)
 def test_whose_faces_may_be_culled_by_themselves(why: str) -> None:
     """Those of a large mesh of an object of its own; the numbers of its faces are read then."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -423,7 +472,10 @@ def test_whose_faces_may_be_culled_by_themselves(why: str) -> None:
         bpy.context.scene.collection.objects.unlink(ob)
         bpy.data.collections.new("grids").objects.link(ob)
         bpy.ops.object.empty_add()
-        bpy.context.object.instance_type, bpy.context.object.instance_collection = "COLLECTION", bpy.data.collections["grids"]
+        bpy.context.object.instance_type, bpy.context.object.instance_collection = (
+            "COLLECTION",
+            bpy.data.collections["grids"],
+        )
     elif why == "holdout":
         ob.is_holdout = True
     elif why == "hair":

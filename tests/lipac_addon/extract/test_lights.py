@@ -37,7 +37,9 @@ def one() -> Records:
 
 def test_area_light_takes_the_scale() -> None:
     """Size is the light's times the object's scale, axes are unit; exposure doubles, colour multiplies."""
-    data = lamp("AREA", shape="ELLIPSE", size=2.0, size_y=3.0, energy=10.0, exposure=1.0, color=(1, 0.5, 0.25), spread=1.0)
+    data = lamp(
+        "AREA", shape="ELLIPSE", size=2.0, size_y=3.0, energy=10.0, exposure=1.0, color=(1, 0.5, 0.25), spread=1.0
+    )
     add("lamp", data, location=(1, 2, 3), rotation=(0, np.pi / 2, 0), scale=(2, 0.5, 1))
     r = one()
     assert (r["kind"], r["shape"]) == (LightKind.AREA, AreaShape.ELLIPSE)
@@ -49,7 +51,8 @@ def test_area_light_takes_the_scale() -> None:
 
 
 def test_temperature_nodes_and_visibility() -> None:
-    """A colour temperature multiplies; a constant Emission node too; hidden lights are out; visible_camera decides who sees the shape."""
+    """A colour temperature multiplies; a constant Emission node too; hidden lights are out; visible_camera decides who
+    sees the shape."""
     data = lamp("POINT", energy=2.0, use_temperature=True, temperature=3000.0, shadow_soft_size=0.3, normalize=False)
     item = add("lamp", data)
     item.visible_camera = True
@@ -66,7 +69,8 @@ def test_temperature_nodes_and_visibility() -> None:
 
 
 def test_half_the_light_passes_what_may_not_block_it() -> None:
-    """Light linking that names blockers: nobody here knows which are, so half of the light has shadows and half has none, at each place of the lamp."""
+    """Light linking that names blockers: nobody here knows which are, so half of the light has shadows and half has
+    none, at each place of the lamp."""
     held, blockers = collection("held", linked=False), collection("blockers", linked=False)
     item = add("lamp", lamp("POINT", energy=8.0), held, location=(0, 0, 5))
     item.light_linking.blocker_collection = blockers
@@ -78,7 +82,9 @@ def test_half_the_light_passes_what_may_not_block_it() -> None:
     np.testing.assert_allclose(lights["position"] + origin, [[0, 0, 5], [1, 0, 5]] * 2, atol=1e-6)
     assert lights["cast_shadow"].tolist() == [0, 0, 1, 1]
     np.testing.assert_allclose(lights["power"], 4.0)
-    assert extraction.scene.approximated == ("light POINT: shadow linking not rendered: half of the light passes everything",)
+    assert extraction.scene.approximated == (
+        "light POINT: shadow linking not rendered: half of the light passes everything",
+    )
 
 
 def test_a_light_falloff_keeps_its_strength() -> None:

@@ -1,4 +1,5 @@
-"""Frames extracted one after the other against each extracted alone, and what is said to have changed against what did."""
+"""Frames extracted one after the other against each extracted alone, and what is said to have changed against what
+did."""
 
 from __future__ import annotations
 
@@ -62,8 +63,12 @@ def assert_same(got: Extraction, alone: Extraction) -> None:
         assert_same_mesh(a.meshes[m], b.meshes[n])
     for m in set(range(len(a.meshes))) - set(numbers):
         assert (a.mesh_bounds[m][0] > a.mesh_bounds[m][1]).all() or not len(a.meshes[m].triangles) or m in unplaced(got)
-    assert all(same_bytes(getattr(a, name), getattr(b, name)) for name in ("slot_materials", "materials", "lights", "origin"))
-    assert all(same_bytes(getattr(a.textures, name), getattr(b.textures, name)) for name in ("records", "bytes", "floats"))
+    assert all(
+        same_bytes(getattr(a, name), getattr(b, name)) for name in ("slot_materials", "materials", "lights", "origin")
+    )
+    assert all(
+        same_bytes(getattr(a.textures, name), getattr(b.textures, name)) for name in ("records", "bytes", "floats")
+    )
     assert same_bytes(a.world.color, b.world.color)
     assert same_bytes(a.world.image, b.world.image)
     assert all(np.array_equal(getattr(a.camera, f.name), getattr(b.camera, f.name)) for f in fields(Camera))
@@ -87,7 +92,9 @@ def assert_change(before: Extraction, held: dict[int, Mesh], now: Extraction) ->
     moved = np.zeros(len(b), bool) if change.moved is None else change.moved
     keys, old_keys = named_keys(now), named_keys(before)
     assert [old_keys[p] for p in previous if p >= 0] == [key for key, p in zip(keys, previous, strict=True) if p >= 0]
-    assert {key for key, p in zip(map(repr, keys), previous, strict=True) if p < 0} == set(map(repr, keys)) - set(map(repr, old_keys))
+    assert {key for key, p in zip(map(repr, keys), previous, strict=True) if p < 0} == set(map(repr, keys)) - set(
+        map(repr, old_keys)
+    )
     differ = previous < 0
     for name in (*ROWS, "mesh"):
         x, y = getattr(b, name), getattr(a, name)[previous]
@@ -131,14 +138,30 @@ def follow(frames: Iterable[int], step: Step = lambda _: None, keep: bool = True
 
 
 @pytest.mark.parametrize("keep", [True, False], ids=["graph kept", "graph anew"])
-@pytest.mark.parametrize("name", ["CesiumMan.glb", "Fox.glb", "Knight.glb", "animation_instanced.blend", "particle_hair.blend", "22_simple_GN.blend"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "CesiumMan.glb",
+        "Fox.glb",
+        "Knight.glb",
+        "animation_instanced.blend",
+        "particle_hair.blend",
+        "22_simple_GN.blend",
+    ],
+)
 def test_supplied_animations(shared: Path, name: str, keep: bool) -> None:
-    """Armatures, particles and animated nodes. Where the graph is kept, the meshes that do not move are not said to have changed."""
+    """Armatures, particles and animated nodes. Where the graph is kept, the meshes that do not move are not said to
+    have changed."""
     open_scene(shared / "small" / name)
     bpy.context.scene.world = None  # of no interest here
     row = follow((1, 2, 2), keep=keep)
     change = row[2].change
-    assert change is not None and (change.previous, change.moved, change.camera, change.shading) == (None, None, False, False)
+    assert change is not None and (change.previous, change.moved, change.camera, change.shading) == (
+        None,
+        None,
+        False,
+        False,
+    )
 
 
 def key(target: Any, path: str, values: dict[int, Any]) -> None:
@@ -179,7 +202,8 @@ def test_a_mesh_that_loses_all_its_faces(keep: bool) -> None:
 
 
 def test_shapes_and_topology() -> None:
-    """Shape keys, a build modifier, an array whose count is animated, a subdivided mesh that is bent, and n-gons whose triangles follow their shape."""
+    """Shape keys, a build modifier, an array whose count is animated, a subdivided mesh that is bent, and n-gons whose
+    triangles follow their shape."""
     item = add("shape keys", cube())
     item.shape_key_add(name="rest")
     bent = item.shape_key_add(name="bent")
@@ -233,13 +257,21 @@ def test_what_nobody_holds_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
 def scatter(source: Any, side: int = 30) -> Any:
     """A geometry-nodes host with side x side instances of an object."""
     host = add("host", cube("host"))
-    nodes(host, lambda g, new: scattered(new, grid(new, side), new("GeometryNodeObjectInfo", {"Object": source, "As Instance": True}).outputs["Geometry"]))
+    nodes(
+        host,
+        lambda g, new: scattered(
+            new,
+            grid(new, side),
+            new("GeometryNodeObjectInfo", {"Object": source, "As Instance": True}).outputs["Geometry"],
+        ),
+    )
     return host
 
 
 @pytest.mark.parametrize("keep", [True, False], ids=["graph kept", "graph anew"])
 def test_a_still_scatter_is_not_placed_again(keep: bool) -> None:
-    """The camera moves, an object moves, the scatter does not: its rows are taken over, and where nothing moves so are the arrays."""
+    """The camera moves, an object moves, the scatter does not: its rows are taken over, and where nothing moves so are
+    the arrays."""
     scatter(add("leaf", wedge(), collection("hidden", linked=False)))
     key(bpy.context.scene.camera, "location", {1: (3, -20, 8), 9: (3.5, -20, 8)})
     key(add("car", cube("car")), "location", {1: (0, 0, 0), 3: (0, 0, 0), 4: (1, 0, 0)})
@@ -280,14 +312,20 @@ def test_collections_of_moving_things() -> None:
     bpy.context.scene.collection.objects.unlink(inner)
     outer.objects.link(inner)
     for k in range(3):
-        key(instance_of(f"e{k}", outer if k == 2 else held, location=(5 * k, 0, 0)), "location", {1: (5 * k, 0, 0), 5: (5 * k, 0, 0), 6: (5 * k, 0, k)})
+        key(
+            instance_of(f"e{k}", outer if k == 2 else held, location=(5 * k, 0, 0)),
+            "location",
+            {1: (5 * k, 0, 0), 5: (5 * k, 0, 0), 6: (5 * k, 0, k)},
+        )
     row = follow(range(1, 7))
     assert [len(e.scene.instances) for e in row] == [6, 6, 6, 3, 3, 3]
-    assert [e.change.shading for e in row[1:] if e.change] == [False, False, False, True, True]  # at the end the lamp in the collection moves
+    # at the end the lamp in the collection moves
+    assert [e.change.shading for e in row[1:] if e.change] == [False, False, False, True, True]
 
 
 def test_lights_materials_cameras() -> None:
-    """A lamp's power by its data and by its nodes, a material's colour, a camera that is cut to another by a marker, a focal length, a world's colour."""
+    """A lamp's power by its data and by its nodes, a material's colour, a camera that is cut to another by a marker, a
+    focal length, a world's colour."""
     scene = bpy.context.scene
     material = bpy.data.materials.new("m")
     socket = next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED").inputs["Base Color"]
@@ -311,7 +349,13 @@ def test_lights_materials_cameras() -> None:
     changes = [e.change for e in row[1:]]
     assert all(c is not None for c in changes)
     assert [c.camera for c in changes if c] == [k in (6, 8) for k in range(2, 10)]
-    assert [k for k, c in zip(range(2, 10), changes, strict=True) if c and c.shading] == [3, 5, 6, *([9] if background else [])]  # at 6 the origin is another
+    # at 6 the origin is another
+    assert [k for k, c in zip(range(2, 10), changes, strict=True) if c and c.shading] == [
+        3,
+        5,
+        6,
+        *([9] if background else []),
+    ]
     moved = [k for k, c in zip(range(2, 10), changes, strict=True) if c and c.moved is not None]
     assert moved == [6]
 
@@ -347,7 +391,8 @@ def test_an_animated_sky_is_rendered_when_it_changes(monkeypatch: pytest.MonkeyP
 
 
 def test_other_renders_between_frames() -> None:
-    """The graph is lost to another engine's render, and to a change of the engine: the next frame is read in full, and equals the one alone."""
+    """The graph is lost to another engine's render, and to a change of the engine: the next frame is read in full, and
+    equals the one alone."""
     scene = bpy.context.scene
     scene.render.resolution_x = scene.render.resolution_y = 8
     scene.cycles.samples = 1
@@ -396,7 +441,10 @@ def test_rows_of_a_scatter_are_read_in_place_and_stay_when_blender_has_forgotten
     rows = extraction.scatters[host.name]
     assert not rows.flags.owndata
     was = rows.copy()
-    placed = extraction.scene.instances.transform[extraction.keys.records["path"][:, 0] >= 0][:, :, 3] + extraction.scene.origin
+    placed = (
+        extraction.scene.instances.transform[extraction.keys.records["path"][:, 0] >= 0][:, :, 3]
+        + extraction.scene.origin
+    )
     assert np.allclose(was, placed, atol=1e-5)  # 20 m in float32
     del extraction
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -416,12 +464,15 @@ def saved_pixels(scene: Any, folder: Path) -> np.ndarray:
 @pytest.mark.parametrize("shown", [0, 2])
 @pytest.mark.parametrize("order", [("frame", "world"), ("world", "frame")])
 def test_the_users_render_is_not_lost(tmp_path: Path, shown: int, order: tuple[str, str]) -> None:
-    """An extraction renders, and so does the bake of a world; a picture that is not saved yet can be saved afterwards, and is the one that is shown."""
+    """An extraction renders, and so does the bake of a world; a picture that is not saved yet can be saved afterwards,
+    and is the one that is shown."""
     scene = bpy.context.scene
     add("cube", cube())
     world = scene.world = bpy.data.worlds.new("World")
     gradient = world.node_tree.nodes.new("ShaderNodeTexGradient")
-    world.node_tree.links.new(gradient.outputs["Color"], next(n for n in world.node_tree.nodes if n.type == "BACKGROUND").inputs["Color"])
+    world.node_tree.links.new(
+        gradient.outputs["Color"], next(n for n in world.node_tree.nodes if n.type == "BACKGROUND").inputs["Color"]
+    )
     scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
     scene.render.resolution_x, scene.render.resolution_y = 16, 8
     bpy.ops.render.render()

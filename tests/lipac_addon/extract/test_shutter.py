@@ -37,7 +37,11 @@ def exposed() -> Any:
     scene = bpy.context.scene
     add("cube", cube())
     scene.frame_set(5)
-    scene.render.use_motion_blur, scene.render.motion_blur_shutter, scene.render.motion_blur_position = True, 1.0, "CENTER"
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter, scene.render.motion_blur_position = (
+        True,
+        1.0,
+        "CENTER",
+    )
     return scene
 
 
@@ -48,7 +52,8 @@ def path(cameras: tuple[Camera, ...], origin: Any, index: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("position", "first"), [("CENTER", -0.5), ("START", 0.0), ("END", -1.0)])
 def test_cameras_of_an_exposure(exposed: Any, position: str, first: float) -> None:
-    """They go where Blender's camera goes, from where the shutter opens to where it closes; the file stays at its frame."""
+    """They go where Blender's camera goes, from where the shutter opens to where it closes; the file stays at its
+    frame."""
     animate(exposed.camera, "location", 0, (0, 0.0), (10, 20.0))
     exposed.render.motion_blur_position = position
     extraction = extract_frame(exposed)
@@ -63,7 +68,8 @@ def test_cameras_of_an_exposure(exposed: Any, position: str, first: float) -> No
 
 @pytest.mark.parametrize("frame", [5.5, -3.75])
 def test_between_two_frames(exposed: Any, frame: float) -> None:
-    """An exposure around a moment between two frames, where the scene then still is; what else moves is looked at when the shutter opens and closes for it."""
+    """An exposure around a moment between two frames, where the scene then still is; what else moves is looked at when
+    the shutter opens and closes for it."""
     animate(exposed.camera, "location", 0, (-10, -20.0), (10, 20.0))
     animate(bpy.data.objects["cube"], "location", 2, (-10, -1.0), (10, 1.0))
     go_to(exposed, frame)
@@ -100,7 +106,8 @@ def test_still_or_without_blur_there_is_one_camera(exposed: Any) -> None:
 
 
 def test_what_moves_is_looked_at_at_other_moments(exposed: Any) -> None:
-    """A moving object, not a moving empty; seen by the cameras of the frame, and the next frame is as it would be by itself."""
+    """A moving object, not a moving empty; seen by the cameras of the frame, and the next frame is as it would be by
+    itself."""
     animate(add("empty"), "location", 0, (0, 0.0), (10, 20.0))
     with Extractor(exposed) as extractor:
         assert extractor.frame().moments == ()
@@ -113,7 +120,11 @@ def test_what_moves_is_looked_at_at_other_moments(exposed: Any) -> None:
         for moment in extraction.moments:
             other = extractor.frame(at=moment)
             x[moment] = float(other.scene.instances.transform[0, 0, 3] + other.scene.origin[0])
-            np.testing.assert_allclose(path(other.scene.shutter, other.scene.origin, 0), path(extraction.scene.shutter, extraction.scene.origin, 0), atol=1e-5)
+            np.testing.assert_allclose(
+                path(other.scene.shutter, other.scene.origin, 0),
+                path(extraction.scene.shutter, extraction.scene.origin, 0),
+                atol=1e-5,
+            )
         assert x == pytest.approx({-0.5: 9, 0.0: 10, 0.5: 11}, abs=1e-5)
         assert exposed.frame_float == 5
         after = extractor.frame(6)
@@ -122,7 +133,8 @@ def test_what_moves_is_looked_at_at_other_moments(exposed: Any) -> None:
 
 
 def test_what_a_door_shows_while_the_shutter_is_open_stays(exposed: Any, tmp_path: Any) -> None:
-    """A closed door that opens within the exposure: what stands behind it is kept; what a wall hides all the time is not."""
+    """A closed door that opens within the exposure: what stands behind it is kept; what a wall hides all the time is
+    not."""
     exposed.camera.location, exposed.camera.rotation_euler = (0, -20, 0), (np.pi / 2, 0, 0)
     bpy.data.objects.remove(bpy.data.objects["cube"])
     exposed.world = bpy.data.worlds.new("World")

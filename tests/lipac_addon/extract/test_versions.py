@@ -23,7 +23,9 @@ def node(tree: Tree, kind: str, inputs: dict[Any, Any] | None = None) -> Any:
 
 
 def test_surfaces_are_those_of_the_blender_that_runs() -> None:
-    assert extract_limits(bpy.context.scene).shading == (Shading.BLENDER_5_3 if bpy.app.version >= (5, 3, 0) else Shading.BLENDER_5_0)
+    assert extract_limits(bpy.context.scene).shading == (
+        Shading.BLENDER_5_3 if bpy.app.version >= (5, 3, 0) else Shading.BLENDER_5_0
+    )
 
 
 def test_a_newer_blender_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,7 +45,10 @@ def test_raycast_is_reported(socket: str) -> None:
     assert any("Raycast" in line for line in tree.parts(surface)[2])
 
 
-@pytest.mark.parametrize("kind", ["ShaderNodeLightAccumulation", "ShaderNodeLightInfo", "ShaderNodeLightEvaluation", "ShaderNodeShadowRaycast"])
+@pytest.mark.parametrize(
+    "kind",
+    ["ShaderNodeLightAccumulation", "ShaderNodeLightInfo", "ShaderNodeLightEvaluation", "ShaderNodeShadowRaycast"],
+)
 def test_light_loops_are_reported(kind: str) -> None:
     tree = Tree()
     made = node(tree, kind)
@@ -67,7 +72,10 @@ def test_dispersion_and_anisotropic_glass_are_reported() -> None:
     surface.inputs["Transmission Dispersion Scale"].default_value = 1.0
     assert any("dispersion not rendered" in line for line in tree.parts(surface)[2])
     tree = Tree()
-    assert any("anisotropy not rendered" in line for line in tree.parts(tree.new("ShaderNodeBsdfGlass", {"Anisotropy": 0.5}))[2])
+    assert any(
+        "anisotropy not rendered" in line
+        for line in tree.parts(tree.new("ShaderNodeBsdfGlass", {"Anisotropy": 0.5}))[2]
+    )
 
 
 def test_gaussian_splats_are_reported() -> None:
@@ -78,7 +86,10 @@ def test_gaussian_splats_are_reported() -> None:
     group = bpy.data.node_groups.new("splats", "GeometryNodeTree")
     group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    chain = [group.nodes.new(kind) for kind in ("NodeGroupInput", "GeometryNodeMeshToPoints", "GeometryNodePointsSetType", "NodeGroupOutput")]
+    chain = [
+        group.nodes.new(kind)
+        for kind in ("NodeGroupInput", "GeometryNodeMeshToPoints", "GeometryNodePointsSetType", "NodeGroupOutput")
+    ]
     for socket in chain[2].inputs:
         if socket.type == "MENU":
             socket.default_value = "3D Gaussian Splat"

@@ -41,7 +41,8 @@ def test_constant_worlds() -> None:
 
 
 def test_baked_world_shows_directions(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A world that emits its own direction, moved to be positive: every pixel looks where the core says it does. Nothing stays behind in the file."""
+    """A world that emits its own direction, moved to be positive: every pixel looks where the core says it does.
+    Nothing stays behind in the file."""
     monkeypatch.setattr(module, "BAKE_HEIGHT", 32)
     world, tree, background = new_world()
     world.cycles_visibility.camera = False
@@ -52,7 +53,10 @@ def test_baked_world_shows_directions(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = bpy.context.scene
 
     def contents() -> dict[str, list[str]]:
-        return {name: [item.name_full for item in getattr(bpy.data, name)] for name in ("scenes", "objects", "cameras", "worlds", "images", "collections")}
+        return {
+            name: [item.name_full for item in getattr(bpy.data, name)]
+            for name in ("scenes", "objects", "cameras", "worlds", "images", "collections")
+        }
 
     before, engine, path = contents(), scene.render.engine, scene.render.filepath
     image = extract_world(scene).world.image
@@ -77,26 +81,34 @@ def test_environment_image(monkeypatch: pytest.MonkeyPatch) -> None:
     tree.links.new(node.outputs[0], background.inputs["Color"])
     baked = extract_world(bpy.context.scene).world.image
     assert baked is not None
-    # bilinear between pixels: 0.005 pixels off the centre mix in half a percent per axis at most; half floats of a packed image
+    # bilinear between pixels: 0.005 pixels off the centre mix in half a percent per axis at most; half floats of a
+    # packed image
     np.testing.assert_allclose(np.roll(baked, 8, axis=1), pixels[..., :3], atol=0.011)
 
 
 def test_camera_and_other_rays_see_their_own_sky() -> None:
-    """A world by Is Camera Ray: a backdrop for the camera, another light for all else; both whole, and nothing of the bake is left."""
+    """A world by Is Camera Ray: a backdrop for the camera, another light for all else; both whole, and nothing of the
+    bake is left."""
     _, tree, background = new_world()
     mix = tree.nodes.new("ShaderNodeMix")
     mix.data_type = "RGBA"
     tree.links.new(tree.nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"], mix.inputs[0])
     mix.inputs[6].default_value, mix.inputs[7].default_value = (4, 2, 1, 1), (0, 0.5, 0, 1)
     tree.links.new(mix.outputs[2], background.inputs["Color"])
-    blocks = [len(getattr(bpy.data, name)) for name in ("objects", "meshes", "materials", "worlds", "cameras", "scenes")]
+    blocks = [
+        len(getattr(bpy.data, name)) for name in ("objects", "meshes", "materials", "worlds", "cameras", "scenes")
+    ]
     extracted = extract_world(bpy.context.scene)
     assert extracted.world.image is not None
     assert extracted.world.seen is not None
     for picture, color in ((extracted.world.image, (4, 2, 1)), (extracted.world.seen, (0, 0.5, 0))):
-        np.testing.assert_allclose(picture, np.broadcast_to(np.array(color, np.float32), picture.shape), rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(
+            picture, np.broadcast_to(np.array(color, np.float32), picture.shape), rtol=1e-4, atol=1e-4
+        )
     assert len(extracted.approximated) == 1
-    assert blocks == [len(getattr(bpy.data, name)) for name in ("objects", "meshes", "materials", "worlds", "cameras", "scenes")]
+    assert blocks == [
+        len(getattr(bpy.data, name)) for name in ("objects", "meshes", "materials", "worlds", "cameras", "scenes")
+    ]
 
 
 def test_a_world_in_fog_is_baked_without_it() -> None:
@@ -131,5 +143,6 @@ def test_sky_with_a_sun_keeps_its_power() -> None:
         bright = image[..., 1] > 100 * np.median(image[..., 1])
         return float((image[..., 1] * weight)[bright].sum())
 
-    # Coverage of some 8 pixels on the disc's edge by 16 stratified samples each: under 10 % of their share, which is most of the disc
+    # Coverage of some 8 pixels on the disc's edge by 16 stratified samples each: under 10 % of their share, which is
+    # most of the disc
     assert sun(256) == pytest.approx(sun(512), rel=0.2)

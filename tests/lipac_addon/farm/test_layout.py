@@ -23,7 +23,14 @@ def test_read_back(shot: FarmShot) -> None:
 def test_the_key_goes_by_what_is_asked_not_by_where_it_lies(shot: FarmShot, tmp_path: Path) -> None:
     moved = dataclasses.replace(shot, folder=tmp_path, scene=tmp_path / "x.blend")
     assert moved.key == shot.key
-    others: list[dict[str, Any]] = [{"digest": "0"}, {"last": 5}, {"samples": 3}, {"resolution": (32, 18)}, {"mean": 0.5}, {"checks": 3}]
+    others: list[dict[str, Any]] = [
+        {"digest": "0"},
+        {"last": 5},
+        {"samples": 3},
+        {"resolution": (32, 18)},
+        {"mean": 0.5},
+        {"checks": 3},
+    ]
     for other in others:
         assert dataclasses.replace(shot, **other).key != shot.key, other
 
@@ -49,7 +56,10 @@ def test_spans_are_all_frames_once(shot: FarmShot, checks: int) -> None:
 
 
 def test_the_sample_is_drawn_by_the_seed(shot: FarmShot) -> None:
-    drawn = {tuple(dataclasses.replace(shot, last=100, checks=4, seed=seed).checked(k) for k in range(1, 5)) for seed in range(8)}
+    drawn = {
+        tuple(dataclasses.replace(shot, last=100, checks=4, seed=seed).checked(k) for k in range(1, 5))
+        for seed in range(8)
+    }
     assert len(drawn) == 8
 
 

@@ -46,7 +46,10 @@ def test_all_steps_and_all_again(shot: FarmShot) -> None:
     found = all_steps(shot)
     before = times(shot.folder)
     assert all_steps(shot) == json.loads((shot.folder / "certificate.json").read_text())
-    assert {name for name, at in times(shot.folder).items() if at != before.get(name)} == {"certificate.json", "certificate.html"}
+    assert {name for name, at in times(shot.folder).items() if at != before.get(name)} == {
+        "certificate.json",
+        "certificate.html",
+    }
     assert (found["verified"], found["failed"], found["broken"], found["mended"]) == (2, 0, 0, [])
     assert [frame["frame"] for frame in found["frames"]] == [1, 2, 3, 4, 5, 6]
     assert [frame["frame"] for frame in found["frames"] if frame["verified"]] == [shot.checked(1), shot.checked(2)]
@@ -97,11 +100,20 @@ def cull_too_much(shot: FarmShot) -> None:
         states = load_states(shot.analysis(frame))
         together = ShotSet()
         together.add(states)
-        save_states(shot.analysis(frame), np.zeros_like(states.state), states.score, states.hits, together.keys.records, together.keys.names, states.note)
+        save_states(
+            shot.analysis(frame),
+            np.zeros_like(states.state),
+            states.score,
+            states.hits,
+            together.keys.records,
+            together.keys.names,
+            states.note,
+        )
 
 
 def test_a_wrong_set_is_found_and_mended(shot: FarmShot) -> None:
-    """All frames of the span are rendered again, with what a tighter analysis of them needs; the certificate says so; a repetition changes nothing."""
+    """All frames of the span are rendered again, with what a tighter analysis of them needs; the certificate says so; a
+    repetition changes nothing."""
     analyse.analyse(shot, shot.frames)
     cull_too_much(shot)
     chosen = unite.unite(shot)
@@ -132,7 +144,9 @@ def test_where_no_analysis_helps_all_is_kept(shot: FarmShot, monkeypatch: pytest
     cull_too_much(shot)
     unite.unite(shot)
     children.render(shot, shot.frames)
-    monkeypatch.setattr(verify, "mend", lambda shot, _number, attempt, *_: shot.scene if attempt == verify.MENDS else shot.culled)
+    monkeypatch.setattr(
+        verify, "mend", lambda shot, _number, attempt, *_: shot.scene if attempt == verify.MENDS else shot.culled
+    )
     attempts = verify.verify(shot, 2)["attempts"]
     assert [one["mended"] == verify.ALL for one in attempts] == [False, False, False, True]
     assert [one["broken"] for one in attempts] == [True, True, True, False]
@@ -171,14 +185,21 @@ def test_a_scene_that_changed_is_refused(shot: FarmShot, rising: Path) -> None:
 @pytest.mark.skipif(os.name == "nt", reason="no limit of file sizes")
 @pytest.mark.parametrize("step", ["analyze", "unite", "render"])
 def test_a_full_disk_leaves_nothing_half(shot: FarmShot, step: str) -> None:
-    """Here no file may be larger than 600 bytes: the step fails, what it would have written is not there, and with room again it is done."""
+    """Here no file may be larger than 600 bytes: the step fails, what it would have written is not there, and with room
+    again it is done."""
     before = {"analyze": (), "unite": ("analyze",), "render": ("analyze", "unite")}[step]
     for earlier in before:
         assert main(["shot", earlier, str(shot.folder), "--quiet"]) == 0
     there = set(times(shot.folder))
     limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (600, resource.RLIM_INFINITY)); "
     code = limited + "from lipac.scripts.lipac import main; sys.exit(main(sys.argv[1:]))"
-    done = subprocess.run([sys.executable, "-c", code, "shot", step, str(shot.folder), "--quiet"], capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code, "shot", step, str(shot.folder), "--quiet"],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
     assert done.returncode in (1, 2), done.stderr
     assert not {name for name in times(shot.folder) if not Path(name).name.startswith(".")} - there
     assert main(["shot", step, str(shot.folder), "--quiet"]) == 0
@@ -212,5 +233,10 @@ def test_a_chunk_holds_no_frame_that_is_done(shot: FarmShot, monkeypatch: pytest
 
 def _arrays() -> list[np.ndarray]:
     """Arrays that something which the collector knows refers to, and that own their memory."""
-    found = {id(one): one for holder in gc.get_objects() for one in gc.get_referents(holder) if isinstance(one, np.ndarray) and one.base is None}
+    found = {
+        id(one): one
+        for holder in gc.get_objects()
+        for one in gc.get_referents(holder)
+        if isinstance(one, np.ndarray) and one.base is None
+    }
     return list(found.values())

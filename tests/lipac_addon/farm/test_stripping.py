@@ -36,7 +36,8 @@ def names() -> set[str]:
 
 
 def test_objects_data_and_pictures_go(boxes: Any, tmp_path: Path) -> None:
-    """With a mesh and a texture of its own; one that only a fake user holds goes, too. What is rendered does not change, and the file is smaller."""
+    """With a mesh and a texture of its own; one that only a fake user holds goes, too. What is rendered does not
+    change, and the file is smaller."""
     box = bpy.data.objects["box5"]
     box.data = box.data.copy()
     image = bpy.data.images.new("wood", 64, 64)

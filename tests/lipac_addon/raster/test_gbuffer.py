@@ -21,7 +21,13 @@ if not opengl.has_opengl():
 def traced(scene, camera, size):
     blas = BlasCache(scene.meshes)
     blas.need(scene.instances.mesh)
-    return trace_primary(Tlas(scene.instances, blas, np.ones(len(scene.instances), bool)), MeshTable(scene.meshes), camera, size, scene.instances.mesh)
+    return trace_primary(
+        Tlas(scene.instances, blas, np.ones(len(scene.instances), bool)),
+        MeshTable(scene.meshes),
+        camera,
+        size,
+        scene.instances.mesh,
+    )
 
 
 def positions(primary, scene):
@@ -37,8 +43,9 @@ def positions(primary, scene):
 
 @pytest.mark.parametrize("view", ["perspective", "jittered", "orthographic", "far"])
 def test_against_rays(boxes, view):
-    """Instance and triangle of nearly every pixel are those that a ray meets: the graphics card snaps corners to 1/256 pixel, so edges may differ, 1 % of the
-    pixels of this picture at most. Where both agree, positions do, to what that snap means at their distance: the footprint of 1/256 pixel, twice."""
+    """Instance and triangle of nearly every pixel are those that a ray meets: the graphics card snaps corners to 1/256
+    pixel, so edges may differ, 1 % of the pixels of this picture at most. Where both agree, positions do, to what that
+    snap means at their distance: the footprint of 1/256 pixel, twice."""
     from lipac.lipac_addon.raster.gbuffer import GBuffer
 
     camera = boxes.camera.data
@@ -65,7 +72,8 @@ def test_against_rays(boxes, view):
     distance = np.linalg.norm(b - primary.camera.to_world[:, 3], axis=1) if view != "orthographic" else 1.0
     pixel = (primary.camera.frame[1] - primary.camera.frame[0]) / SIZE[0] * distance
     eye = primary.camera.to_world[:, 2]
-    off = np.linalg.norm((a - b) - ((a - b) @ eye)[:, None] * eye, axis=1)  # across the view: along it, slanted surfaces stretch it
+    # across the view: along it, slanted surfaces stretch it
+    off = np.linalg.norm((a - b) - ((a - b) @ eye)[:, None] * eye, axis=1)
     assert (off < 2 * pixel / 256 + 1e-5).mean() > 0.99
 
 

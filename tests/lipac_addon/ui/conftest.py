@@ -1,4 +1,5 @@
-"""The extension registered, and a small scene whose boxes behind the wall a policy by distance culls: quick to analyse."""
+"""The extension registered, and a small scene whose boxes behind the wall a policy by distance culls: quick to
+analyse."""
 
 from collections.abc import Iterator
 
@@ -41,11 +42,23 @@ def snapshot():
     """Plain and custom properties of all objects and collections, their modifiers, and the names of all data-blocks."""
 
     def run() -> dict:
-        blocks = {(kind, b.name_full) for kind in ("objects", "meshes", "node_groups", "cameras", "images", "scenes") for b in getattr(bpy.data, kind)}
+        blocks = {
+            (kind, b.name_full)
+            for kind in ("objects", "meshes", "node_groups", "cameras", "images", "scenes")
+            for b in getattr(bpy.data, kind)
+        }
         values = {}
         for b in (*bpy.data.objects, *bpy.data.collections):
-            plain = {p.identifier: str(getattr(b, p.identifier)) for p in b.bl_rna.properties if p.type in {"BOOLEAN", "ENUM", "INT"} and not p.is_readonly}
+            plain = {
+                p.identifier: str(getattr(b, p.identifier))
+                for p in b.bl_rna.properties
+                if p.type in {"BOOLEAN", "ENUM", "INT"} and not p.is_readonly
+            }
             values[b.name_full] = plain | {key: str(b[key]) for key in b.keys()}  # noqa: SIM118
-        return {"blocks": blocks, "values": values, "modifiers": {(ob.name, m.name) for ob in bpy.data.objects for m in ob.modifiers}}
+        return {
+            "blocks": blocks,
+            "values": values,
+            "modifiers": {(ob.name, m.name) for ob in bpy.data.objects for m in ob.modifiers},
+        }
 
     return run

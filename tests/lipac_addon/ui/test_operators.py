@@ -187,7 +187,10 @@ class Modal:
     """The modal operator without an event loop: its methods on a plain object."""
 
     modal, finish = operators.LIPAC_OT_analyze.modal, operators.LIPAC_OT_analyze.finish
-    needs_undo_step, success_message = operators.LIPAC_OT_analyze.needs_undo_step, operators.LIPAC_OT_analyze.success_message
+    needs_undo_step, success_message = (
+        operators.LIPAC_OT_analyze.needs_undo_step,
+        operators.LIPAC_OT_analyze.success_message,
+    )
     bl_label = operators.LIPAC_OT_analyze.bl_label
 
     def __init__(self, scene):
@@ -247,7 +250,8 @@ def test_what_was_hidden_and_is_not_any_more_is_said(analyzed, boxes_file, hidde
     assert hidden() == set()
     assert "Nothing is hidden from renders any more" in modal.heard[-1]
     bpy.ops.wm.open_mainfile(filepath=path)
-    bpy.context.scene.lipac.frames, bpy.context.scene.frame_start, bpy.context.scene.frame_end = "RANGE", 5, 6  # not the current one
+    # not the current one
+    bpy.context.scene.lipac.frames, bpy.context.scene.frame_start, bpy.context.scene.frame_end = "RANGE", 5, 6
     modal = Modal(bpy.context.scene)
     assert modal.until_done() == {"FINISHED"}
     assert hidden() == set()

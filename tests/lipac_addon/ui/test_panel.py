@@ -15,7 +15,8 @@ from lipac.lipac_addon.ui.state.results import Difference
 
 @pytest.fixture
 def drawn(capfd):
-    """A panel's draw() with a real layout; returns what is in it as text. Wrong property names, which Blender only prints, fail the test."""
+    """A panel's draw() with a real layout; returns what is in it as text. Wrong property names, which Blender only
+    prints, fail the test."""
 
     def run(cls):
         popup = bpy.context.window_manager.popmenu_begin__internal("test", icon="NONE")
@@ -100,7 +101,14 @@ def test_libraries_that_python_cannot_find(monkeypatch):
 
 def test_figures(analyzed):
     result = results.at(analyzed)
-    result.stats.update(blas_bytes=3 << 20, tlas_bytes=1 << 19, predicted_mean=0.002, predicted_worst=0.01, certified_mean=0.004, certified_worst=0.02)
+    result.stats.update(
+        blas_bytes=3 << 20,
+        tlas_bytes=1 << 19,
+        predicted_mean=0.002,
+        predicted_worst=0.01,
+        certified_mean=0.004,
+        certified_worst=0.02,
+    )
     rows = dict(figures.rows_of(result))
     assert rows["Instances"] == "10"
     assert rows["Memory of the active"] == "3.5 MiB"

@@ -22,9 +22,16 @@ OWNERS = (bpy.types.Scene, bpy.types.Object, bpy.types.Collection)
 def traces() -> set:
     """Whatever the extension leaves in Blender."""
     classes = {name for name in dir(bpy.types) if "lipac" in name.lower()}
-    lists = [handlers for name in dir(bpy.app.handlers) if isinstance(handlers := getattr(bpy.app.handlers, name), list)]
+    lists = [
+        handlers for name in dir(bpy.app.handlers) if isinstance(handlers := getattr(bpy.app.handlers, name), list)
+    ]
     handlers = {h.__qualname__ for handlers in lists for h in handlers if "lipac" in getattr(h, "__module__", "")}
-    return classes | handlers | {owner.__name__ for owner in OWNERS if hasattr(owner, "lipac") or hasattr(owner, "lipac_role")} | set(overlay._handles)
+    return (
+        classes
+        | handlers
+        | {owner.__name__ for owner in OWNERS if hasattr(owner, "lipac") or hasattr(owner, "lipac_role")}
+        | set(overlay._handles)
+    )
 
 
 def test_register_again_and_again():
@@ -37,7 +44,10 @@ def test_register_again_and_again():
 
 
 def test_libraries_are_not_loaded_by_registering():
-    code = "import sys, bpy, lipac; lipac.register(); sys.exit(any(n in sys.modules for n in ('numba', 'llvmlite', 'scipy')))"
+    code = (
+        "import sys, bpy, lipac; lipac.register(); sys.exit(any(n in sys.modules for n in ('numba', 'llvmlite', "
+        "'scipy')))"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -48,11 +58,19 @@ def own_properties(group):
 def test_every_control_has_a_place_in_the_guide(ui):
     """Blender's Online Manual looks for the first pattern that matches the control's name in lower case."""
     guide = Path(lipac.__file__).parent / "docs" / "user-guide.md"
-    places = {re.sub(r"[^a-z]+", "-", line.lstrip("# ").lower()) for line in guide.read_text().splitlines() if line.startswith("#")}
+    places = {
+        re.sub(r"[^a-z]+", "-", line.lstrip("# ").lower())
+        for line in guide.read_text().splitlines()
+        if line.startswith("#")
+    }
     page, entries = manual.manual()
     assert page.startswith("file://")
     names = [f"bpy.types.{group.__name__}.{p.identifier}" for group in GROUPS for p in own_properties(group)]
-    names += ["bpy.types.Object.lipac_role", "bpy.types.Collection.lipac_role", *(f"bpy.ops.{cls.bl_idname}" for cls in OPERATORS)]
+    names += [
+        "bpy.types.Object.lipac_role",
+        "bpy.types.Collection.lipac_role",
+        *(f"bpy.ops.{cls.bl_idname}" for cls in OPERATORS),
+    ]
     assert len(names) > 30
     for name in names:
         place = next((rest for pattern, rest in entries if fnmatch(name.lower(), pattern)), None)
@@ -85,7 +103,9 @@ def test_policies_and_rays_are_those_of_the_engine(ui):
 
     listed = {policy.name: policy for policy in POLICIES.values() if policy.listed and policy.name != "none"}
     properties = props.LipacSettings.bl_rna.properties
-    assert {item.identifier: item.value for item in properties["policy"].enum_items} == {name: policy.rank for name, policy in listed.items()}
+    assert {item.identifier: item.value for item in properties["policy"].enum_items} == {
+        name: policy.rank for name, policy in listed.items()
+    }
     settings = [policy.setting for policy in listed.values() if policy.setting]
     assert len(settings) >= 3
     for own in settings:

@@ -69,7 +69,9 @@ def test_what_stands_in_its_way(saved: Any) -> None:
     assert "Save the file first" in obstacle(bpy.context)
 
 
-@pytest.mark.parametrize(("change", "says"), [("film", "choose PNG or OpenEXR"), ("step", "one frame in 2"), ("camera", "has no camera")])
+@pytest.mark.parametrize(
+    ("change", "says"), [("film", "choose PNG or OpenEXR"), ("step", "one frame in 2"), ("camera", "has no camera")]
+)
 def test_what_cannot_be_a_shot(saved: Any, tmp_path: Path, change: str, says: str) -> None:
     if change == "film":
         saved.render.image_settings.media_type = "VIDEO"

@@ -1,4 +1,5 @@
-"""Scenes of each kind of instancing, the instances a render meets (Blender's own list), and a snapshot of a file's data."""
+"""Scenes of each kind of instancing, the instances a render meets (Blender's own list), and a snapshot of a file's
+data."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -27,7 +28,9 @@ class Census(bpy.types.RenderEngine):
                 path = [p for p in i.persistent_id if p < 2**31 - 1][::-1] if i.is_instance else []
                 place = tuple(round(v, 4) for row in i.matrix_world for v in row)
                 host = i.parent.original if i.parent else None
-                Census.met.append(SimpleNamespace(object=i.object.original, host=host, path=path, place=place, random=i.random_id))
+                Census.met.append(
+                    SimpleNamespace(object=i.object.original, host=host, path=path, place=place, random=i.random_id)
+                )
 
 
 def has_faces(ob: bpy.types.Object) -> bool:
@@ -112,7 +115,9 @@ def new_file() -> Iterator[bpy.types.Scene]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
-def link(ob: bpy.types.Object, collection: bpy.types.Collection | None = None, at: tuple = (0, 0, 0)) -> bpy.types.Object:
+def link(
+    ob: bpy.types.Object, collection: bpy.types.Collection | None = None, at: tuple = (0, 0, 0)
+) -> bpy.types.Object:
     ob.location = at
     (collection or bpy.context.scene.collection).objects.link(ob)
     return ob
@@ -145,7 +150,8 @@ def collection(name: str, parent: bpy.types.Collection | None = None) -> bpy.typ
 
 
 def scatter(host: bpy.types.Object, source: bpy.types.ID, separate: bool = False) -> None:
-    """A geometry-nodes modifier that puts an object or a collection on every point of the host and keeps the host's own faces."""
+    """A geometry-nodes modifier that puts an object or a collection on every point of the host and keeps the host's own
+    faces."""
     tree = bpy.data.node_groups.new("scatter", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
@@ -281,7 +287,9 @@ def simulation() -> None:
 
 def metaballs() -> None:
     for k in range(2):
-        ob = link(bpy.data.objects.new("ball" if k == 0 else f"ball.{k:03}", bpy.data.metaballs.new("ball")), at=(k, 0, 0))
+        ob = link(
+            bpy.data.objects.new("ball" if k == 0 else f"ball.{k:03}", bpy.data.metaballs.new("ball")), at=(k, 0, 0)
+        )
         ob.data.elements.new()
 
 
@@ -321,7 +329,11 @@ def snapshot() -> Callable[[], dict]:
 
     def run() -> dict:
         blocks = {}
-        for name in sorted(p.identifier for p in bpy.data.bl_rna.properties if p.type == "COLLECTION" and p.identifier not in {"all_ids", "images"}):
+        for name in sorted(
+            p.identifier
+            for p in bpy.data.bl_rna.properties
+            if p.type == "COLLECTION" and p.identifier not in {"all_ids", "images"}
+        ):
             for block in getattr(bpy.data, name):
                 blocks[name, block.name_full] = plain(block) | {"custom": custom(block)}
         for ob in bpy.data.objects:

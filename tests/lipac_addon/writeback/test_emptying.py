@@ -1,4 +1,5 @@
-"""What goes is free: nothing of what only culled instances show is evaluated, loaded or built, and all of it comes back."""
+"""What goes is free: nothing of what only culled instances show is evaluated, loaded or built, and all of it comes
+back."""
 
 import subprocess
 import sys
@@ -21,8 +22,14 @@ class Ids(bpy.types.RenderEngine):
     vertices: dict = {}  # noqa: RUF012
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
-        Ids.names = {f"{block.id_type} {block.name}" for block in depsgraph.ids if block.id_type in {"MATERIAL", "IMAGE"}}
-        Ids.vertices = {block.name: len(block.data.vertices) for block in depsgraph.ids if isinstance(block, bpy.types.Object) and block.type == "MESH"}
+        Ids.names = {
+            f"{block.id_type} {block.name}" for block in depsgraph.ids if block.id_type in {"MATERIAL", "IMAGE"}
+        }
+        Ids.vertices = {
+            block.name: len(block.data.vertices)
+            for block in depsgraph.ids
+            if isinstance(block, bpy.types.Object) and block.type == "MESH"
+        }
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -77,7 +84,10 @@ def grouped():
     outer = bpy.data.node_groups.new("outer", "GeometryNodeTree")
     outer.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     outer.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    start, group, turn, end = (outer.nodes.new(kind) for kind in ("NodeGroupInput", "GeometryNodeGroup", "GeometryNodeScaleInstances", "NodeGroupOutput"))
+    start, group, turn, end = (
+        outer.nodes.new(kind)
+        for kind in ("NodeGroupInput", "GeometryNodeGroup", "GeometryNodeScaleInstances", "NodeGroupOutput")
+    )
     group.node_tree = inner
     for a, b in ((start, group), (group, turn), (turn, end)):
         outer.links.new(a.outputs[0], b.inputs[0])
@@ -123,7 +133,9 @@ ROWS = (plain, picked, grouped, two_hosts, collection_instance, particle_instanc
 def stored(snapshot):
     """A snapshot without what comes of the last evaluation, whenever that was."""
     derived = {"dimensions", "bound_box"}
-    return lambda: {block: {k: v for k, v in values.items() if k not in derived} for block, values in snapshot().items()}
+    return lambda: {
+        block: {k: v for k, v in values.items() if k not in derived} for block, values in snapshot().items()
+    }
 
 
 def of_unseen(keys):
@@ -145,12 +157,16 @@ def test_nothing_of_it_is_in_the_render(row, new_file, census_keys, shown, store
     assert {"MATERIAL seen", "IMAGE seen"} <= names
     assert not names & {"MATERIAL unseen", "IMAGE unseen"}
     assert not vertices.get("unseen")
-    assert sum(n for who, n in shown().items() if who[0] == "seen") == sum(n for who, n in met.items() if who[0] == "seen")
+    assert sum(n for who, n in shown().items() if who[0] == "seen") == sum(
+        n for who, n in met.items() if who[0] == "seen"
+    )
     restore()
     assert stored() == before
 
 
-@pytest.mark.parametrize("row", [picked, grouped, collection_instance, particle_instances], ids=lambda row: row.__name__)
+@pytest.mark.parametrize(
+    "row", [picked, grouped, collection_instance, particle_instances], ids=lambda row: row.__name__
+)
 def test_it_would_be(row, new_file, census_keys):
     """The check itself: without emptying, it is all there."""
     row()
@@ -160,7 +176,8 @@ def test_it_would_be(row, new_file, census_keys):
 
 
 def test_a_baked_file(new_file, census_keys, stored, shown, tmp_path):
-    """Saved and loaded, it costs nothing; and Restore puts all back, text and slots included; what has materials of its own keeps them."""
+    """Saved and loaded, it costs nothing; and Restore puts all back, text and slots included; what has materials of its
+    own keeps them."""
     made = two()
     unseen, own = made.objects["unseen"], link(dear("own"), made)
     unseen.data.materials.append(None)
@@ -191,8 +208,13 @@ def reopen(path):
 
 def realised():
     tree = bpy.data.objects["host"].modifiers[0].node_group
-    join, out = (next(n for n in tree.nodes if n.bl_idname == kind) for kind in ("GeometryNodeJoinGeometry", "NodeGroupOutput"))
-    put, bounds = next(n for n in tree.nodes if n.bl_idname == "GeometryNodeInstanceOnPoints"), tree.nodes.new("GeometryNodeBoundBox")
+    join, out = (
+        next(n for n in tree.nodes if n.bl_idname == kind) for kind in ("GeometryNodeJoinGeometry", "NodeGroupOutput")
+    )
+    put, bounds = (
+        next(n for n in tree.nodes if n.bl_idname == "GeometryNodeInstanceOnPoints"),
+        tree.nodes.new("GeometryNodeBoundBox"),
+    )
     tree.links.new(put.outputs[0], bounds.inputs[0])
     tree.links.new(join.outputs[0], out.inputs[0])
 
@@ -239,7 +261,11 @@ def shown_elsewhere():
     bpy.data.objects["seen"].parent = unseen
 
 
-@pytest.mark.parametrize("reader", [realised, later_realised, cut, cut_by_collection, driven, clamped, on_a_vertex, shown_elsewhere], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "reader",
+    [realised, later_realised, cut, cut_by_collection, driven, clamped, on_a_vertex, shown_elsewhere],
+    ids=lambda f: f.__name__,
+)
 def test_what_is_looked_at_is_left(reader, new_file, census_keys):
     picked()
     keys, _ = census_keys()
@@ -312,7 +338,9 @@ bpy.ops.render.render()
 @pytest.mark.parametrize("free", [False, True])
 def test_cycles_statistics(free):
     """Cycles' own count of its images: of two, one."""
-    done = subprocess.run([sys.executable, "-c", STATISTICS.replace("FREE", str(free))], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", STATISTICS.replace("FREE", str(free))], capture_output=True, text=True, check=True
+    )
     images = done.stdout.partition("Image statistics")[2].partition("Kernel statistics")[0]
     assert "  seen " in images
     assert (" unseen " in images) != free

@@ -1,8 +1,10 @@
-"""Exact for what stays: where only what nothing meets is culled, every pass of a picture is the full scene's, bit for bit, for each row of docs/write-back.md.
+"""Exact for what stays: where only what nothing meets is culled, every pass of a picture is the full scene's, bit for
+bit, for each row of docs/write-back.md.
 
-Materials read all that could depend on numbers, order or count: the random number of an instance, its attributes, object and particle index, particles' random.
-Passes: all of vectors, positions, indices and the three Cryptomattes; and motion blur in a second picture. No two surfaces coincide: which of two at one place
-a ray meets is chance, and changes with anything in the scene.
+Materials read all that could depend on numbers, order or count: the random number of an instance, its attributes,
+object and particle index, particles' random. Passes: all of vectors, positions, indices and the three Cryptomattes; and
+motion blur in a second picture. No two surfaces coincide: which of two at one place a ray meets is chance, and changes
+with anything in the scene.
 """
 
 from collections.abc import Callable
@@ -20,7 +22,18 @@ from lipac.lipac_addon.writeback import apply, mask, restore
 from lipac.tests.lipac_addon.writeback.conftest import collection, empty, link, points, scatter, triangle
 
 AWAY = 1000.0  # metres along x of what the camera does not see
-PASSES = ("z", "position", "normal", "vector", "uv", "object_index", "material_index", "diffuse_color", "shadow", "ambient_occlusion")
+PASSES = (
+    "z",
+    "position",
+    "normal",
+    "vector",
+    "uv",
+    "object_index",
+    "material_index",
+    "diffuse_color",
+    "shadow",
+    "ambient_occlusion",
+)
 CRYPTOMATTES = ("object", "material", "asset")
 
 
@@ -92,8 +105,13 @@ def nodes_moving() -> None:
     ob = host()
     scatter(ob, source())
     tree = ob.modifiers[0].node_group
-    put, join = (next(n for n in tree.nodes if n.bl_idname == kind) for kind in ("GeometryNodeInstanceOnPoints", "GeometryNodeJoinGeometry"))
-    time, index, moved = (tree.nodes.new(f"GeometryNode{kind}") for kind in ("InputSceneTime", "InputIndex", "TranslateInstances"))
+    put, join = (
+        next(n for n in tree.nodes if n.bl_idname == kind)
+        for kind in ("GeometryNodeInstanceOnPoints", "GeometryNodeJoinGeometry")
+    )
+    time, index, moved = (
+        tree.nodes.new(f"GeometryNode{kind}") for kind in ("InputSceneTime", "InputIndex", "TranslateInstances")
+    )
     product, scaled, vector = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("Math", "Math", "CombineXYZ"))
     product.operation = scaled.operation = "MULTIPLY"
     scaled.inputs[1].default_value = 0.01
@@ -121,7 +139,13 @@ def collection_parts() -> None:
     """Parts of an instanced collection go, ahead of others in it and between them."""
     made, nested = collection("inside"), collection("nested")
     made.children.link(nested)
-    for name, to, x in (("z", nested, AWAY), ("y", made, AWAY), ("a", nested, 0.0), ("b", made, 0.2), ("c", nested, 0.5)):
+    for name, to, x in (
+        ("z", nested, AWAY),
+        ("y", made, AWAY),
+        ("a", nested, 0.0),
+        ("b", made, 0.2),
+        ("c", nested, 0.5),
+    ):
         link(triangle(name), to, (x, 0.2, 0.3))
     for k in range(3):
         moving(link(empty(f"e{k}", made), at=(k, 1, 0)))
@@ -147,7 +171,12 @@ def _emitter(k: int, x: float) -> bpy.types.ParticleSettings:
     ob.modifiers.new("particles", "PARTICLE_SYSTEM")
     ob.particle_systems[0].seed = k
     settings = ob.particle_systems[0].settings
-    settings.type, settings.count, settings.particle_size, settings.size_random = ("HAIR", "EMITTER")[k // 2], 7, 0.4, 0.5
+    settings.type, settings.count, settings.particle_size, settings.size_random = (
+        ("HAIR", "EMITTER")[k // 2],
+        7,
+        0.4,
+        0.5,
+    )
     if settings.type == "EMITTER":
         settings.frame_start = settings.frame_end = 1
         settings.physics_type, settings.normal_factor = "NO", 0.0
@@ -165,7 +194,10 @@ def particles() -> None:
     """All particles of one emitter go, the emitter itself stays."""
     for k in range(2):
         settings = _emitter(k, 0.0)
-        settings.render_type, settings.instance_object = "OBJECT", link(triangle(("unseen", "seen")[k]), collection("sources"))
+        settings.render_type, settings.instance_object = (
+            "OBJECT",
+            link(triangle(("unseen", "seen")[k]), collection("sources")),
+        )
     for vertex in bpy.data.meshes["unseen"].vertices:
         vertex.co.x += 10 * AWAY
 
@@ -208,7 +240,11 @@ def material() -> bpy.types.Material:
     made.pass_index = 3
     nodes, links = made.node_tree.nodes, made.node_tree.links
     shader = next(n for n in nodes if n.type == "BSDF_PRINCIPLED")
-    info, particle, colour = nodes.new("ShaderNodeObjectInfo"), nodes.new("ShaderNodeParticleInfo"), nodes.new("ShaderNodeCombineColor")
+    info, particle, colour = (
+        nodes.new("ShaderNodeObjectInfo"),
+        nodes.new("ShaderNodeParticleInfo"),
+        nodes.new("ShaderNodeCombineColor"),
+    )
     tint, index, share = nodes.new("ShaderNodeAttribute"), nodes.new("ShaderNodeMath"), nodes.new("ShaderNodeMath")
     tint.attribute_type, tint.attribute_name = "INSTANCER", "tint"
     share.operation, share.inputs[1].default_value = "MULTIPLY", 0.1
@@ -230,7 +266,12 @@ def pictures(folder: Path, engine: str, blurs: tuple[bool, ...] = (False, True))
     """Every pass of the open file without and with motion blur, by its name: (36, 64) float32."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
     scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = engine, 64, 36
-    scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 4, 1, False, False
+    scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = (
+        4,
+        1,
+        False,
+        False,
+    )
     scene.eevee.taa_render_samples = 1
     for name in (*PASSES, *(f"cryptomatte_{kind}" for kind in CRYPTOMATTES)):
         setattr(layer, f"use_pass_{name}", True)
@@ -251,7 +292,11 @@ def pictures(folder: Path, engine: str, blurs: tuple[bool, ...] = (False, True))
 
 def differing(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> list[str]:
     """Names of the passes that are not bit for bit the same."""
-    return sorted(name for name in a.keys() | b.keys() if name not in a or name not in b or (a[name].view(np.uint32) != b[name].view(np.uint32)).any())
+    return sorted(
+        name
+        for name in a.keys() | b.keys()
+        if name not in a or name not in b or (a[name].view(np.uint32) != b[name].view(np.uint32)).any()
+    )
 
 
 def extracted() -> tuple[Keys, np.ndarray]:

@@ -48,9 +48,15 @@ def material(name: str) -> bpy.types.Material:
     out.use_nodes = True
     tree = out.node_tree
     shader = tree.nodes["Principled BSDF"]
-    tint, info, mix = (tree.nodes.new(kind) for kind in ("ShaderNodeAttribute", "ShaderNodeObjectInfo", "ShaderNodeMixRGB"))
+    tint, info, mix = (
+        tree.nodes.new(kind) for kind in ("ShaderNodeAttribute", "ShaderNodeObjectInfo", "ShaderNodeMixRGB")
+    )
     tint.attribute_name = "tint"
-    for source, target in ((tint.outputs["Color"], mix.inputs[1]), (info.outputs["Random"], mix.inputs[2]), (mix.outputs[0], shader.inputs["Base Color"])):
+    for source, target in (
+        (tint.outputs["Color"], mix.inputs[1]),
+        (info.outputs["Random"], mix.inputs[2]),
+        (mix.outputs[0], shader.inputs["Base Color"]),
+    ):
         tree.links.new(source, target)
     shader.inputs["Roughness"].default_value = 0.3
     return out
@@ -70,7 +76,12 @@ def corners(ob: bpy.types.Object) -> dict[bytes, tuple[float, ...]]:
                 center = np.array(face.center[:], np.float32).tobytes()
                 for k in face.loop_indices:
                     place = np.array(mesh.vertices[mesh.loops[k].vertex_index].co[:], np.float32).tobytes()
-                    Look.found[center + place] = (*normals[k].vector, *tint[k].color, *uv[k].vector, face.material_index)
+                    Look.found[center + place] = (
+                        *normals[k].vector,
+                        *tint[k].color,
+                        *uv[k].vector,
+                        face.material_index,
+                    )
 
     bpy.utils.register_class(Look)
     scene = bpy.context.scene
@@ -96,7 +107,8 @@ def half(ob: bpy.types.Object) -> np.ndarray:
 
 
 def test_what_stays_is_as_it_was(terrain: bpy.types.Object) -> None:
-    """Normals at the cut too, which would be those of fewer faces. Blender keeps custom normals as they are given, to the last bits."""
+    """Normals at the cut too, which would be those of fewer faces. Blender keeps custom normals as they are given, to
+    the last bits."""
     before, stay = corners(terrain), half(terrain)
     done = cut(terrain, stay)
     assert (done.face_hosts, done.faces_removed, done.whole) == (1, int((~stay).sum()), {})
@@ -170,9 +182,17 @@ def of_a_collection(ob: bpy.types.Object) -> None:
 
 @pytest.mark.parametrize(
     ("use", "why"),
-    [(shrinkwrap, SHAPES), (on_its_faces, SHAPES), (on_a_vertex, SHAPES), (of_a_collection, FEEDS), (collides, SIMULATION)],
+    [
+        (shrinkwrap, SHAPES),
+        (on_its_faces, SHAPES),
+        (on_a_vertex, SHAPES),
+        (of_a_collection, FEEDS),
+        (collides, SIMULATION),
+    ],
 )
-def test_faces_that_something_else_needs_stay(terrain: bpy.types.Object, use: Callable[[bpy.types.Object], None], why: str) -> None:
+def test_faces_that_something_else_needs_stay(
+    terrain: bpy.types.Object, use: Callable[[bpy.types.Object], None], why: str
+) -> None:
     use(terrain)
     done = cut(terrain, half(terrain))
     assert (done.face_hosts, done.whole) == (0, {why: 1})
@@ -197,7 +217,9 @@ def test_linked_objects_keep_all(terrain: bpy.types.Object, tmp_path: Path) -> N
     bpy.ops.object.camera_add(location=(0, -5, 3), rotation=(1.0, 0, 0))
     bpy.context.scene.camera = bpy.context.object
     keys = extract_frame(bpy.context.scene, 1).keys
-    done = writeback.apply(np.zeros(len(keys.records), bool), keys, faces={name: stay for name in keys.names if ob.name in name})
+    done = writeback.apply(
+        np.zeros(len(keys.records), bool), keys, faces={name: stay for name in keys.names if ob.name in name}
+    )
     assert (done.face_hosts, done.whole) == (0, {LINKED: 1})
 
 

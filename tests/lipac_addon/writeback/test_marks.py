@@ -37,7 +37,8 @@ def test_a_failure_leaves_nothing(broken, build, census_keys, snapshot, monkeypa
 
 
 def test_objects_after_what_cannot_be_edited(new_file, tmp_path):
-    """Blender writes values of many objects one after the other, and passes over overrides that it made itself: none of the values may go to a neighbour."""
+    """Blender writes values of many objects one after the other, and passes over overrides that it made itself: none of
+    the values may go to a neighbour."""
     made = bpy.data.collections.new("made")
     for name in ("b override", "e override"):
         link(triangle(name), made)
@@ -51,7 +52,10 @@ def test_objects_after_what_cannot_be_edited(new_file, tmp_path):
     bpy.context.scene.collection.children.link(wanted.collections[0])
     wanted.collections[0].override_hierarchy_create(bpy.context.scene, bpy.context.view_layer)
     local = [link(triangle(name)) for name in ("a", "c", "d", "f", "g")]
-    assert [ob.name for ob in bpy.data.objects if ob.is_property_readonly("hide_render") and not ob.library] == ["b override", "e override"]
+    assert [ob.name for ob in bpy.data.objects if ob.is_property_readonly("hide_render") and not ob.library] == [
+        "b override",
+        "e override",
+    ]
     for chosen in ([local[1], local[4]], [local[0], bpy.data.objects["b override"], local[3]]):
         marks.set_hidden(chosen, True)
         assert [ob for ob in bpy.data.objects if ob.hide_render] == chosen
@@ -60,13 +64,19 @@ def test_objects_after_what_cannot_be_edited(new_file, tmp_path):
 
 
 def overrides(tmp_path):
-    """Library overrides of a host, its source as a real object, a plain object and an emitter, in a file that was saved and loaded."""
+    """Library overrides of a host, its source as a real object, a plain object and an emitter, in a file that was saved
+    and loaded."""
     scatter(link(points("host", 20)), link(triangle("source"), at=(0, 9, 0)))
     link(triangle("plain"), at=(0, 11, 0))
     emitter = link(points("emitter", 8, faces=True))
     emitter.modifiers.new("particles", "PARTICLE_SYSTEM")
     settings = emitter.particle_systems[0].settings
-    settings.type, settings.count, settings.render_type, settings.instance_object = "HAIR", 7, "OBJECT", bpy.data.objects["source"]
+    settings.type, settings.count, settings.render_type, settings.instance_object = (
+        "HAIR",
+        7,
+        "OBJECT",
+        bpy.data.objects["source"],
+    )
     library, names = str(tmp_path / "library.blend"), ("host", "plain", "emitter", "Camera")
     bpy.ops.wm.save_as_mainfile(filepath=library)
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -88,9 +98,16 @@ def reopen(path):
 def test_overrides_are_shown_again_after_loading(new_file, census_keys, shown, tmp_path):
     overrides(tmp_path)
     keys, _places = census_keys()
-    before, names = shown(), {block.name_full for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.node_groups) for block in kind}
+    before, names = (
+        shown(),
+        {block.name_full for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.node_groups) for block in kind},
+    )
     of_emitter = keys.records["host"] == keys.names.index("emitter")
-    culled = of_emitter | (keys.records["object"] == keys.names.index("plain")) | ((keys.records["host"] >= 0) & (np.arange(len(keys.records)) % 2 == 0))
+    culled = (
+        of_emitter
+        | (keys.records["object"] == keys.names.index("plain"))
+        | ((keys.records["host"] >= 0) & (np.arange(len(keys.records)) % 2 == 0))
+    )
     assert apply(culled, keys, lasting=True).removed.sum() == culled.sum()
     hidden = shown()
     assert hidden != before
@@ -105,7 +122,9 @@ def test_overrides_are_shown_again_after_loading(new_file, census_keys, shown, t
     assert shown() == before
     reopen(tmp_path / "shot.blend")
     assert shown() == before
-    assert {block.name_full for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.node_groups) for block in kind} == names
+    assert {
+        block.name_full for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.node_groups) for block in kind
+    } == names
 
 
 def test_a_renamed_particle_modifier(build, census_keys, shown):
@@ -196,7 +215,9 @@ def test_a_linked_object_stays_where_it_would_not_last(build, census_keys, shown
     keys, _places = census_keys()
     before = shown()
     result = apply(everything(keys), keys, lasting=True)
-    assert result.kept == {"its object is linked: Blender neither saves nor undoes a change of it (a library override takes it)": 2}
+    assert result.kept == {
+        "its object is linked: Blender neither saves nor undoes a change of it (a library override takes it)": 2
+    }
     assert not result.removed.any()
     assert shown() == before
     assert apply(everything(keys), keys).removed.all()  # for the renders of this session it can be hidden
@@ -209,7 +230,9 @@ def test_what_is_appended_from_a_culled_file(build, census_keys, shown, tmp_path
     build("nodes_object")
     link(triangle("plain"), at=(0, 11, 0))
     keys, _places = census_keys()
-    culled = ((keys.records["host"] >= 0) & (np.arange(len(keys.records)) % 2 == 0)) | (keys.records["object"] == keys.names.index("plain"))
+    culled = ((keys.records["host"] >= 0) & (np.arange(len(keys.records)) % 2 == 0)) | (
+        keys.records["object"] == keys.names.index("plain")
+    )
     before = Counter({who: n for who, n in shown().items() if who[0] != "Sun"})
     apply(culled, keys)
     library = str(tmp_path / "culled.blend")
@@ -223,4 +246,9 @@ def test_what_is_appended_from_a_culled_file(build, census_keys, shown, tmp_path
     assert sum(shown().values()) < sum(before.values())
     assert restore()
     assert shown() == before
-    assert not [block for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.node_groups) for block in kind if block.name.startswith("LiPaC")]
+    assert not [
+        block
+        for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.node_groups)
+        for block in kind
+        if block.name.startswith("LiPaC")
+    ]

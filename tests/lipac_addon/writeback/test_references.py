@@ -129,7 +129,10 @@ def test_a_driver_that_reads_a_modifier(build, census_keys):
     assert apply(culled, keys).kept == {DRIVES: int(culled.sum())}
 
 
-@pytest.mark.parametrize(("file", "kept"), [("h_driver_parent", DRIVES), ("h_metaparticles", "its object also shows lights, volumes, hair or metaballs")])
+@pytest.mark.parametrize(
+    ("file", "kept"),
+    [("h_driver_parent", DRIVES), ("h_metaparticles", "its object also shows lights, volumes, hair or metaballs")],
+)
 def test_cases_from_the_field(file, kept, shown):
     """Where all that can go goes, what a driver hides, or a metaball instanced by particles adds, is as before."""
     if not FIELD.is_dir():

@@ -1,4 +1,5 @@
-"""Extract, write back, extract again: what comes back is what should be left. On every kind of instancing, and on real scenes."""
+"""Extract, write back, extract again: what comes back is what should be left. On every kind of instancing, and on real
+scenes."""
 
 from collections import Counter
 from pathlib import Path
@@ -40,7 +41,8 @@ def check_round_trip(shares=(0.4, 0.9)):
     rng = np.random.default_rng(0)
     removed = 0
     objects = full.keys.records["object"]
-    of_objects = (np.random.default_rng(1).random(len(full.keys.names) + 1) < 0.6)[objects]  # so that nothing of some stays, and these are emptied
+    # so that nothing of some stays, and these are emptied
+    of_objects = (np.random.default_rng(1).random(len(full.keys.names) + 1) < 0.6)[objects]
     of_objects[objects == objects[0]] = False
     for culled in [*(rng.random(len(before)) < share for share in shares), of_objects]:
         result = apply(culled, full.keys, free=True)

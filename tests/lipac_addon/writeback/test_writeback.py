@@ -173,7 +173,9 @@ def test_linked_host_is_reported(build, census_keys, shown, tmp_path, new_file):
     culled = (keys.records["host"] >= 0) & (np.arange(len(places)) % 2 == 0)
     result = apply(culled, keys)
     check(result, culled, places, before, shown())
-    assert result.kept == {"its host takes no modifier: linked from a library, or of a type without modifiers": int(culled.sum())}
+    assert result.kept == {
+        "its host takes no modifier: linked from a library, or of a type without modifiers": int(culled.sum())
+    }
     everything = np.ones(len(places), bool)  # hiding works on linked objects
     check(apply(everything, keys), everything, places, before, shown())
     assert not result.kept or not shown()
@@ -271,7 +273,12 @@ def picture(path, engine="CYCLES"):
     """A small picture of the open file: (H W 4,) float32."""
     scene = bpy.context.scene
     scene.render.engine = engine
-    scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 4, 1, False, False
+    scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = (
+        4,
+        1,
+        False,
+        False,
+    )
     scene.eevee.taa_render_samples = 1
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
     scene.render.filepath = str(path)

@@ -26,7 +26,18 @@ def test_demo_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> N
     assert frame["error"]["flip"] < report["demo"]["error_between_seeds"]["flip"]
     assert frame["error"]["relmse"] < report["demo"]["error_between_seeds"]["relmse"]
     table = capfd.readouterr().out
-    for word in ("instances", "active", "hitboxes", "BLAS", "TLAS", "trace", "Cycles", "peak memory", "mean FLIP", "relMSE"):
+    for word in (
+        "instances",
+        "active",
+        "hitboxes",
+        "BLAS",
+        "TLAS",
+        "trace",
+        "Cycles",
+        "peak memory",
+        "mean FLIP",
+        "relMSE",
+    ):
         assert word in table
 
 

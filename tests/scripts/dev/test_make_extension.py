@@ -1,4 +1,5 @@
-"""The extension's zip: built, checked, installed into a fresh Blender that has none of its libraries, and used there."""
+"""The extension's zip: built, checked, installed into a fresh Blender that has none of its libraries, and used
+there."""
 
 from __future__ import annotations
 
@@ -77,7 +78,8 @@ def extension(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def bare_site(folder: Path) -> Path:
-    """A folder with everything that is installed here, but for our own package and the libraries that the extension brings."""
+    """A folder with everything that is installed here, but for our own package and the libraries that the extension
+    brings."""
     folder.mkdir()
     for path in Path(numpy.__file__).parents[1].iterdir():
         if not path.name.startswith(OURS) and not path.name.endswith(".pth"):
@@ -91,7 +93,12 @@ def test_a_fresh_blender_installs_and_uses_the_zip(extension: Path, tmp_path: Pa
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("LIPAC", "NUMBA"))}
     environment |= {"BLENDER_USER_RESOURCES": str(resources), "PYTHONPATH": str(bare_site(tmp_path / "site"))}
     done = subprocess.run(
-        [sys.executable, "-S", "-c", USE, str(resources), str(extension)], env=environment, capture_output=True, text=True, check=False, cwd=tmp_path
+        [sys.executable, "-S", "-c", USE, str(resources), str(extension)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
     )
     assert "USED" in done.stdout, done.stdout + done.stderr
 

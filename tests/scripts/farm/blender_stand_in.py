@@ -1,4 +1,5 @@
-"""Python with the module bpy in the place of Blender, for what Flamenco's workers ask of it: FILE --python-exit-code 1 --python SCRIPT -- ARGUMENTS."""
+"""Python with the module bpy in the place of Blender, for what Flamenco's workers ask of it: FILE --python-exit-code 1
+--python SCRIPT -- ARGUMENTS."""
 
 import runpy
 import sys

@@ -7,7 +7,21 @@ import pytest
 from lipac.lipac_addon.farm.layout import FarmShot
 from lipac.scripts.lipac import main
 
-FARM = ["--frames", "1-8", "--resolution", "64x36", "--samples", "2", "--paths", "2", "--max-error", "0.05,0.3", "--chunk", "3", "--quiet"]
+FARM = [
+    "--frames",
+    "1-8",
+    "--resolution",
+    "64x36",
+    "--samples",
+    "2",
+    "--paths",
+    "2",
+    "--max-error",
+    "0.05,0.3",
+    "--chunk",
+    "3",
+    "--quiet",
+]
 
 
 @pytest.fixture(scope="session")

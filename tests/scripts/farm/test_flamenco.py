@@ -1,4 +1,5 @@
-"""The job type of Flamenco: compiled by a JavaScript engine, compared with the graph, and its commands done in order."""
+"""The job type of Flamenco: compiled by a JavaScript engine, compared with the graph, and its commands done in
+order."""
 
 from __future__ import annotations
 
@@ -37,7 +38,15 @@ def manager() -> MiniRacer:
 
 
 def compiled(manager: MiniRacer, **settings: Any) -> list[dict[str, Any]]:
-    given = {"frames": "1-8", "chunk_size": 3, "max_error": 0.01, "verify": 0, "shot_folder": "/farm/shot", "lipac": "lipac", "blendfile": "/farm/a.blend"}
+    given = {
+        "frames": "1-8",
+        "chunk_size": 3,
+        "max_error": 0.01,
+        "verify": 0,
+        "shot_folder": "/farm/shot",
+        "lipac": "lipac",
+        "blendfile": "/farm/a.blend",
+    }
     tasks: list[dict[str, Any]] = json.loads(manager.call("compiled", given | settings))
     return tasks
 
@@ -45,7 +54,21 @@ def compiled(manager: MiniRacer, **settings: Any) -> list[dict[str, Any]]:
 def test_settings_are_as_the_manager_knows_them(manager: MiniRacer) -> None:
     """By the schema AvailableJobSetting of its API; what Blender fills in can be evaluated."""
     job_type = json.loads(str(manager.eval("JSON.stringify(JOB_TYPE)")))
-    known = {"key", "type", "subtype", "choices", "propargs", "description", "label", "default", "eval", "evalInfo", "visible", "required", "editable"}
+    known = {
+        "key",
+        "type",
+        "subtype",
+        "choices",
+        "propargs",
+        "description",
+        "label",
+        "default",
+        "eval",
+        "evalInfo",
+        "visible",
+        "required",
+        "editable",
+    }
     for setting in job_type["settings"]:
         assert setting.keys() <= known
         assert setting["visible"] in ("visible", "hidden", "submission", "web") if "visible" in setting else True
@@ -53,7 +76,10 @@ def test_settings_are_as_the_manager_knows_them(manager: MiniRacer) -> None:
     evals = {setting["key"]: setting["eval"] for setting in job_type["settings"] if "eval" in setting}
     names = {"C": bpy.context, "Path": Path, "abspath": lambda text: Path("/scenes"), "jobname": "shot 3"}
     bpy.context.scene.frame_start, bpy.context.scene.frame_end = 5, 47
-    assert {key: eval(code, {}, names) for key, code in evals.items()} == {"frames": "5-47", "shot_folder": "/scenes/lipac/shot 3"}
+    assert {key: eval(code, {}, names) for key, code in evals.items()} == {
+        "frames": "5-47",
+        "shot_folder": "/scenes/lipac/shot 3",
+    }
 
 
 @pytest.mark.parametrize(("last", "chunk", "verify"), [(8, 3, 0), (1, 10, 0), (250, 10, 0), (60, 7, 5)])
@@ -64,9 +90,13 @@ def test_tasks_are_those_of_the_graph(manager: MiniRacer, last: int, chunk: int,
     steps = graph(shot, chunk, Programs(("lipac", "shot"), ("{blender}", "--python")))
     tasks = compiled(manager, frames=f"1-{last}", chunk_size=chunk, verify=verify)
     assert tasks[0]["name"] == "prepare"
-    names = {"prepare": ["prepare"]} | {step.name: [f"{step.name}-{items}" if items else step.name for items in step.chunks()] for step in steps}
+    names = {"prepare": ["prepare"]} | {
+        step.name: [f"{step.name}-{items}" if items else step.name for items in step.chunks()] for step in steps
+    }
     assert [task["name"] for task in tasks] == [name for stage in names.values() for name in stage]
-    after = {name: names[before] for step in steps for before in (step.after or ("prepare",)) for name in names[step.name]}
+    after = {
+        name: names[before] for step in steps for before in (step.after or ("prepare",)) for name in names[step.name]
+    }
     assert {task["name"]: task["dependencies"] for task in tasks} == {"prepare": []} | after
     found = {task["name"]: task["commands"] for task in tasks}
     values = {"<folder>": "/farm/shot", "<scene>": "/farm/a.blend", "<blender>": "{blender}"}
@@ -91,7 +121,9 @@ def test_frames_with_gaps_or_none_are_refused(manager: MiniRacer, frames: str) -
         compiled(manager, frames=frames)
 
 
-def test_its_commands_in_order_give_the_shot(manager: MiniRacer, flythrough: Path, one_process: FarmShot, tmp_path: Path) -> None:
+def test_its_commands_in_order_give_the_shot(
+    manager: MiniRacer, flythrough: Path, one_process: FarmShot, tmp_path: Path
+) -> None:
     """As a worker runs them, with Python in Blender's place: the pictures of one process, and a certificate."""
     first = tmp_path / "first"
     assert main(["farm", str(flythrough), "-o", str(first), "--for", "flamenco", *FARM]) == 0
@@ -109,12 +141,21 @@ def test_its_commands_in_order_give_the_shot(manager: MiniRacer, flythrough: Pat
                 line = [given["exe"], *given["args"]]
             else:
                 exe = {"{blender}": sys.executable, "{blenderArgs}": shlex.quote(str(STAND_IN))}
-                line = [exe[given["exe"]], *shlex.split(exe[given["exeArgs"]]), *given["argsBefore"], given["blendfile"], *given["args"]]
+                line = [
+                    exe[given["exe"]],
+                    *shlex.split(exe[given["exeArgs"]]),
+                    *given["argsBefore"],
+                    given["blendfile"],
+                    *given["args"],
+                ]
             line = [sys.executable if word == "{blender}" else word for word in line]
             ran = subprocess.run(line, capture_output=True, text=True, timeout=200, check=False)
             assert ran.returncode == 0, f"{line}\n{ran.stdout}\n{ran.stderr}"
             if command["name"] == "blender-render":
-                assert len(re.findall(r"^Saved: '.*/frame_\d{4}\.png'$", ran.stdout, re.MULTILINE)) == command["totalStepCount"]
+                assert (
+                    len(re.findall(r"^Saved: '.*/frame_\d{4}\.png'$", ran.stdout, re.MULTILINE))
+                    == command["totalStepCount"]
+                )
         done.append(task["name"])
     assert FarmShot.load(folder).key == FarmShot.load(first).key
     assert_same_shot(FarmShot.load(folder), one_process)

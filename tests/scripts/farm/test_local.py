@@ -22,7 +22,8 @@ def command(scene: Path, folder: Path) -> list[str]:
 
 
 def test_stopped_and_gone_on_with(flythrough: Path, one_process: FarmShot, tmp_path: Path) -> None:
-    """Ctrl-C in the midst of the analysis ends the processes that it has started; the same command then does the rest: the pictures of one process."""
+    """Ctrl-C in the midst of the analysis ends the processes that it has started; the same command then does the rest:
+    the pictures of one process."""
     arguments = [sys.executable, "-m", "lipac.scripts.lipac", *command(flythrough, tmp_path)]
     process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, **INTERRUPTIBLE)
     limit = time.monotonic() + 200
@@ -41,7 +42,9 @@ def test_stopped_and_gone_on_with(flythrough: Path, one_process: FarmShot, tmp_p
     assert certificate["verified"] == 2
 
 
-def test_a_task_that_fails_is_told_in_a_line(flythrough: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_task_that_fails_is_told_in_a_line(
+    flythrough: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert main([*command(flythrough, tmp_path), "--frames", "1-2", "--lipac", str(tmp_path / "nothing")]) == 2
     err = capfd.readouterr().err
     assert err == f"lipac farm: no such program: {tmp_path / 'nothing'}; name one by --blender or --lipac\n"

@@ -40,7 +40,11 @@ def test_the_template_is_valid_and_says_what_is_needed(job: FarmShot) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     template, measured = json.loads(path.read_text()), json.loads((job.folder / "measured.json").read_text())
     assert {s["name"]: [d["dependsOn"] for d in s.get("dependencies", [])] for s in template["steps"]} == STEPS
-    asked = {s["name"]: s["hostRequirements"]["amounts"][0]["min"] * 2**20 for s in template["steps"] if "hostRequirements" in s}
+    asked = {
+        s["name"]: s["hostRequirements"]["amounts"][0]["min"] * 2**20
+        for s in template["steps"]
+        if "hostRequirements" in s
+    }
     assert asked["analyze"] == pytest.approx(1.5 * measured["analysis"]["peak_bytes"], abs=2**20)
     assert asked["render"] == pytest.approx(1.5 * measured["full"]["peak_bytes"], abs=2**20)
     assert asked["verify"] == max(asked["analyze"], asked["render"])
@@ -53,9 +57,15 @@ def test_the_template_is_valid_and_says_what_is_needed(job: FarmShot) -> None:
 
 def test_chunks(job: FarmShot) -> None:
     """As the command counts them: three, three and two frames."""
-    done = openjd("summary", job.folder / "template.json", "-p", f"file://{job.folder / 'parameters.json'}", "--output", "json")
+    done = openjd(
+        "summary", job.folder / "template.json", "-p", f"file://{job.folder / 'parameters.json'}", "--output", "json"
+    )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert {s["name"]: s["total_tasks"] for s in json.loads(done.stdout)["steps"]}.items() >= {"unite": 1, "verify": 2, "certify": 1}.items()
+    assert {s["name"]: s["total_tasks"] for s in json.loads(done.stdout)["steps"]}.items() >= {
+        "unite": 1,
+        "verify": 2,
+        "certify": 1,
+    }.items()
 
 
 def descendants(pid: int) -> list[int]:
@@ -67,8 +77,18 @@ def descendants(pid: int) -> list[int]:
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
 def test_killed_in_the_middle_and_run_again(job: FarmShot, one_process: FarmShot) -> None:
-    """All its processes are killed when some pictures are there, and a half-written file is left behind: then the rest is done, to the same pictures."""
-    run = [*OPENJD, "run", str(job.folder / "template.json"), "-p", f"file://{job.folder / 'parameters.json'}", "--step", "certify", "--run-dependencies"]
+    """All its processes are killed when some pictures are there, and a half-written file is left behind: then the rest
+    is done, to the same pictures."""
+    run = [
+        *OPENJD,
+        "run",
+        str(job.folder / "template.json"),
+        "-p",
+        f"file://{job.folder / 'parameters.json'}",
+        "--step",
+        "certify",
+        "--run-dependencies",
+    ]
     process = subprocess.Popen(run, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     limit = time.monotonic() + 200
     while not job.picture(4).exists() and process.poll() is None and time.monotonic() < limit:

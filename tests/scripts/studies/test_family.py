@@ -1,4 +1,5 @@
-"""`lipac evaluate --family`: scenes in child processes that may crash and hang, resumed where it was stopped, and the table."""
+"""`lipac evaluate --family`: scenes in child processes that may crash and hang, resumed where it was stopped, and the
+table."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ import pytest
 from lipac.scripts import lipac
 from lipac.scripts.studies import family
 
-# Does as a child process does, for scenes that nobody renders: 2 crashes, 3 hangs, 4 says something odd first, 5 raises; the others are done.
+# Does as a child process does, for scenes that nobody renders: 2 crashes, 3 hangs, 4 says something odd first, 5
+# raises; the others are done.
 FAKE = """
 import json, os, sys, time
 say = lambda what: print("lipac-child " + json.dumps(what), flush=True)
@@ -31,8 +33,9 @@ for line in sys.stdin:
         continue
     twice = seed == 6
     say({
-        "seed": seed, "draw": {"kind": "lawn", "mean": 0.01, "worst": 0.05, "pixels": 1.0}, "instances": 100, "active": 10,
-        "analysis_s": 1.0, "cycles_64_s": 2.0, "verdict": "twice" if twice else "held", "verdict_mean": "held", "verdict_worst": "twice" if twice else "held",
+        "seed": seed, "draw": {"kind": "lawn", "mean": 0.01, "worst": 0.05, "pixels": 1.0}, "instances": 100,
+        "active": 10, "analysis_s": 1.0, "cycles_64_s": 2.0, "verdict": "twice" if twice else "held",
+        "verdict_mean": "held", "verdict_worst": "twice" if twice else "held",
         "verdict_detail": "open",
         "times": 2.5 if twice else 0.0, "changes": {"luminance": change, "colour": change}, "process": os.getpid(),
     })
@@ -48,7 +51,9 @@ def records(folder: Path) -> dict[int, dict]:
     return {record["seed"]: record for record in json.loads((folder / "family.json").read_text())}
 
 
-def test_crashes_and_hangs_are_recorded_and_the_others_done(tmp_path: Path, fake: None, capfd: pytest.CaptureFixture[str]) -> None:
+def test_crashes_and_hangs_are_recorded_and_the_others_done(
+    tmp_path: Path, fake: None, capfd: pytest.CaptureFixture[str]
+) -> None:
     command = ["evaluate", "--family", "7", "--first", "1", "-o", str(tmp_path), "--jobs", "2", "--time-limit", "2"]
     assert lipac.main(command) == 0
     shown = capfd.readouterr()
@@ -85,7 +90,25 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, fake: None, monkeypatch:
 def test_time_is_kept(tmp_path: Path, fake: None, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(range(0, 1000, 10))
     monkeypatch.setattr(family.time, "monotonic", lambda: next(clock))
-    assert lipac.main(["evaluate", "--family", "90", "--first", "10", "-o", str(tmp_path), "--jobs", "1", "--stop-after", "45", "--quiet"]) == 0
+    assert (
+        lipac.main(
+            [
+                "evaluate",
+                "--family",
+                "90",
+                "--first",
+                "10",
+                "-o",
+                str(tmp_path),
+                "--jobs",
+                "1",
+                "--stop-after",
+                "45",
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     assert 1 <= len(records(tmp_path)) <= 5
 
 

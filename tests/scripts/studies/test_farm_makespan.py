@@ -36,7 +36,8 @@ def test_handing_out_and_starting_are_paid_by_each_task() -> None:
 
 
 def test_the_shared_folder_is_shared() -> None:
-    """Ten tasks of a gigabyte at once take as long as the folder takes for ten; one takes what a machine's link does."""
+    """Ten tasks of a gigabyte at once take as long as the folder takes for ten; one takes what a machine's link
+    does."""
     farm = Farm(handing_out=0.0, folder=2e9, link=1e9)
     assert scheduled([(0.0, 10**9)] * 10, 0.0, 10, farm) == pytest.approx(5.0)
     assert scheduled([(0.0, 10**9)], 0.0, 10, farm) == pytest.approx(1.0)
@@ -46,7 +47,9 @@ def test_tasks_go_to_the_machine_that_is_free_first() -> None:
     assert scheduled([(4.0, 0), (1.0, 0), (1.0, 0), (1.0, 0)], 0.0, 2, IDEAL) == pytest.approx(4.0)
 
 
-@pytest.mark.parametrize(("frames", "workers", "chunk"), [(250, 1, 10), (250, 100, 3), (250, 1000, 1), (10_000, 1000, 10), (5, 2, 3)])
+@pytest.mark.parametrize(
+    ("frames", "workers", "chunk"), [(250, 1, 10), (250, 100, 3), (250, 1000, 1), (10_000, 1000, 10), (5, 2, 3)]
+)
 def test_chunks(frames: int, workers: int, chunk: int) -> None:
     assert chunk_of(frames, workers) == chunk
 

@@ -158,13 +158,18 @@ def albedo(closure: F64, count: int) -> tuple[F64, F64]:
     return weight.mean(0), weight.std(0) / np.sqrt(count)
 
 
-SMOOTH = [c for c in CASES if not (c[0] == Shader.TRANSPARENT or params(c[1])[lobes.P_ROUGHNESS] == 0.0 or params(c[1])[lobes.P_ALPHA] < 1.0)]
+SMOOTH = [
+    c
+    for c in CASES
+    if not (c[0] == Shader.TRANSPARENT or params(c[1])[lobes.P_ROUGHNESS] == 0.0 or params(c[1])[lobes.P_ALPHA] < 1.0)
+]
 
 
 @pytest.mark.parametrize("degrees", [20.0, 75.0])
 @pytest.mark.parametrize("flags", [0, lobes.BACKFACING])
 def test_samples_follow_the_pdf(degrees: float, flags: int) -> None:
-    """Chi-square over cells of the sphere. How directions are distributed does not depend on the model but for the lobes' shares: one of them is enough."""
+    """Chi-square over cells of the sphere. How directions are distributed does not depend on the model but for the
+    lobes' shares: one of them is enough."""
     wi = direction(degrees)
     bins, fine, count = (16, 12), 32, 40000  # cos x azimuth, fine**2 midpoints a cell
     z = (np.arange(bins[0] * fine) + 0.5) / (bins[0] * fine) * 2.0 - 1.0
@@ -179,7 +184,9 @@ def test_samples_follow_the_pdf(degrees: float, flags: int) -> None:
         eta = params(case[1])[lobes.P_IOR] ** (-1.0 if flags & lobes.BACKFACING else 1.0)
         half = np.sign(1.0 - eta) * (eta * w + wi)
         refracts = case[0] in (Shader.GLASS, Shader.REFRACTION) or params(case[1])[lobes.P_TRANSMISSION] > 0.0
-        impossible = (w[:, 2] < 0.0) & ((half @ wi <= 0.0) | (half[:, 2] <= 0.0) | ((half * w).sum(1) >= 0.0)) & refracts
+        impossible = (
+            (w[:, 2] < 0.0) & ((half @ wi <= 0.0) | (half[:, 2] <= 0.0) | ((half * w).sum(1) >= 0.0)) & refracts
+        )
         pdf[impossible] = 0.0
         cells = pdf.reshape(bins[0], fine, bins[1], fine).mean((1, 3)).ravel() * (4.0 * np.pi / (bins[0] * bins[1]))
         out = draw(closure, count)
@@ -189,7 +196,8 @@ def test_samples_follow_the_pdf(degrees: float, flags: int) -> None:
         observed = np.bincount(i * bins[1] + j, minlength=bins[0] * bins[1])
         expected = cells * count
         share = hit.mean()
-        # The pdf integrates to the sampled share; the midpoint rule is not exact: 5e-3 of the whole, and 1 % of a cell where lobes are sharp.
+        # The pdf integrates to the sampled share; the midpoint rule is not exact: 5e-3 of the whole, and 1 % of a cell
+        # where lobes are sharp.
         assert_mean(share, cells.sum(), np.sqrt(share * (1.0 - share) / count), 4 * len(SMOOTH), 5e-3, case)
         assert chi_square(observed, expected, bias=0.01, least=10.0) > level(4 * len(SMOOTH)), case
 
@@ -211,15 +219,19 @@ def test_weight_is_value_over_pdf(case: Case) -> None:
 @pytest.mark.parametrize("roughness", [0.0, 0.1, 8 / 31, 16 / 31, 1.0])
 @pytest.mark.parametrize("shader", [Shader.GLOSSY, Shader.GLASS])
 def test_white_furnace(shader: Shader, roughness: float, model: int) -> None:
-    """White metal and clear glass (from outside) return all light. Off the tables' nodes interpolation may cost a percent."""
+    """White metal and clear glass (from outside) return all light. Off the tables' nodes interpolation may cost a
+    percent."""
     roughness = round(roughness * 15) / 15 if shader == Shader.GLASS and not model else roughness
     for node in (4 / 15, 8 / 15, 1.0):
         mu = node**2 if model else node
-        mean, error = albedo(setup((shader, {"base": WHITE, "roughness": roughness}), direction(np.degrees(np.arccos(mu))), model), 40000)
+        mean, error = albedo(
+            setup((shader, {"base": WHITE, "roughness": roughness}), direction(np.degrees(np.arccos(mu))), model), 40000
+        )
         assert_mean(mean, 1.0, error, 3 * 3 * 20, 0.015)
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if case[1].get("ior", 1.5) >= 1.0], ids=str)  # Cycles itself makes energy below an IOR of 1
+# Cycles itself makes energy below an IOR of 1
+@pytest.mark.parametrize("case", [case for case in CASES if case[1].get("ior", 1.5) >= 1.0], ids=str)
 def test_no_energy_is_made(case: Case) -> None:
     """Albedo of anything is at most 1, but for noise and two percent of table interpolation at grazing angles."""
     for degrees, model in product((0.0, 60.0, 88.0), MODELS):
@@ -228,7 +240,8 @@ def test_no_energy_is_made(case: Case) -> None:
 
 
 def test_reciprocity() -> None:
-    """Oren-Nayar is reciprocal; glossy is once the energy preservation, a factor of the incoming angle alone, is divided out (on nodes of its table)."""
+    """Oren-Nayar is reciprocal; glossy is once the energy preservation, a factor of the incoming angle alone, is
+    divided out (on nodes of its table)."""
     energy = ggx_albedo.load()["reflection"][0]
     diffuse: Case = (Shader.DIFFUSE, {"base": ORANGE, "diffuse_roughness": 0.9})
     glossy: Case = (Shader.GLOSSY, {"base": WHITE, "roughness": 12 / 31})
@@ -244,7 +257,11 @@ def test_nothing_breaks_at_the_edges() -> None:
     """No NaN, infinity or negative value for inputs at and beyond their limits, grazing and bent normals."""
     rng = np.random.default_rng(3)
     ends = {name: [0.0, 1e-6, 0.5, 1.0] for name in SLOTS}
-    ends |= {"ior": [0.0, 0.5, 1.0, 1.00001, 1.5, 50.0], "coat_ior": [1.0, 1.5, 4.0], "specular_level": [0.0, 0.5, 1.0, 40.0]}
+    ends |= {
+        "ior": [0.0, 0.5, 1.0, 1.00001, 1.5, 50.0],
+        "coat_ior": [1.0, 1.5, 4.0],
+        "specular_level": [0.0, 0.5, 1.0, 40.0],
+    }
     ends |= {"alpha": [0.0, 0.5, 1.0, 1.0], "coat": [0.0, 0.0, 1.0, 1.5]}
     for trial in range(1500):
         inputs: dict[str, Any] = {name: rng.choice(values) for name, values in ends.items()}
@@ -275,8 +292,10 @@ def test_tables_are_what_the_module_computes() -> None:
         ("schlick_ior", 7, 1, 5): (ggx_albedo.SCHLICK_IOR, coarse[5], coarse[1], iors[7]),
     }
     for (name, k, j, i), arguments in entries.items():
-        assert tables[name][k, j, i] == pytest.approx(ggx_albedo.integrate(*arguments, 512), abs=1e-7)  # float32 of the same sum
-        assert tables[name][k, j, i] == pytest.approx(ggx_albedo.integrate(*arguments, 300), abs=5e-4)  # and it has converged
+        # float32 of the same sum
+        assert tables[name][k, j, i] == pytest.approx(ggx_albedo.integrate(*arguments, 512), abs=1e-7)
+        # and it has converged
+        assert tables[name][k, j, i] == pytest.approx(ggx_albedo.integrate(*arguments, 300), abs=5e-4)
     fine, cosines, iors = ggx_albedo.grid(32), ggx_albedo.fine_cosines(32), ggx_albedo.ior_grid(32)
     entries = {
         ("fine_reflection", 0, 7, 20): (ggx_albedo.REFLECTION, fine[20], cosines[7], 1.0),
@@ -293,7 +312,8 @@ def test_tables_are_what_the_module_computes() -> None:
 
 
 def test_public_slots() -> None:
-    """Emission is dimmed by alpha and coat, transparency is 1 - alpha, sharp surfaces have nothing for light sampling until blurred."""
+    """Emission is dimmed by alpha and coat, transparency is 1 - alpha, sharp surfaces have nothing for light sampling
+    until blurred."""
     out = np.zeros(lobes.OUT)
     closure = setup(principled(alpha=0.25), direction(30.0))
     assert closure[lobes.C_EMISSION] == pytest.approx(0.25) and closure[lobes.C_TRANSPARENCY] == pytest.approx(0.75)
@@ -303,7 +323,8 @@ def test_public_slots() -> None:
     assert out[:3] == pytest.approx(ORANGE)
     bsdf_transparency(params({}), int(Shader.GLASS), out)
     assert not out[:3].any()
-    assert 0.9 < setup(principled(coat=1.0), direction(30.0))[lobes.C_EMISSION] < 0.97  # 4 % reflected at normal incidence
+    # 4 % reflected at normal incidence
+    assert 0.9 < setup(principled(coat=1.0), direction(30.0))[lobes.C_EMISSION] < 0.97
     mirror = setup((Shader.GLOSSY, {"base": WHITE, "roughness": 0.0}), direction(30.0))
     assert mirror[lobes.C_HAS_EVAL] == 0.0
     assert draw(mirror, 1)[0, 8] == lobes.REFLECT | lobes.SINGULAR
@@ -325,7 +346,8 @@ def test_caustics_off() -> None:
     assert set(labels) <= {0, lobes.REFLECT | lobes.DIFFUSE}
 
 
-# Cycles as the judge: one strip of a plane per case, seen by an orthographic camera, so that every pixel of a strip has the same two directions.
+# Cycles as the judge: one strip of a plane per case, seen by an orthographic camera, so that every pixel of a strip has
+# the same two directions.
 
 NODES = {
     Shader.PRINCIPLED: "Principled",
@@ -376,7 +398,8 @@ def cycles_material(case: Case, normal: Any) -> Any:
 
 
 def cycles_strips(back: bool, smooth: Any, normal: Any) -> Any:
-    """A Blender scene with a strip per case: seen from behind, with tilted smooth normals, with a bent shading normal."""
+    """A Blender scene with a strip per case: seen from behind, with tilted smooth normals, with a bent shading
+    normal."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -386,13 +409,17 @@ def cycles_strips(back: bool, smooth: Any, normal: Any) -> Any:
     cycles.device = "CPU"
     cycles.use_adaptive_sampling = cycles.use_denoising = cycles.use_light_tree = False
     cycles.pixel_filter_type = "BOX"
-    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.blur_glossy = cycles.light_sampling_threshold = 0.0
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.blur_glossy = cycles.light_sampling_threshold = (
+        0.0
+    )
     cycles.caustics_reflective = cycles.caustics_refractive = True
     scene.render.image_settings.file_format = "OPEN_EXR"
     scene.render.image_settings.color_depth = "32"
     for i, case in enumerate(CASES):
         mesh = bpy.data.meshes.new("strip")
-        mesh.from_pydata([(i, -50, 0), (i + 1, -50, 0), (i + 1, 50, 0), (i, 50, 0)], [], [(3, 2, 1, 0) if back else (0, 1, 2, 3)])
+        mesh.from_pydata(
+            [(i, -50, 0), (i + 1, -50, 0), (i + 1, 50, 0), (i, 50, 0)], [], [(3, 2, 1, 0) if back else (0, 1, 2, 3)]
+        )
         if smooth is not None:
             mesh.normals_split_custom_set([tuple(-unit(smooth) if back else unit(smooth))] * 4)
         mesh.materials.append(cycles_material(case, normal))
@@ -401,7 +428,11 @@ def cycles_strips(back: bool, smooth: Any, normal: Any) -> Any:
     camera.type, camera.ortho_scale, camera.clip_end = "ORTHO", len(CASES), 1000.0
     scene.camera = bpy.data.objects.new("camera", camera)
     scene.collection.objects.link(scene.camera)
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = len(CASES) * PIXELS, PIXELS, 100
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = (
+        len(CASES) * PIXELS,
+        PIXELS,
+        100,
+    )
     return scene
 
 
@@ -436,7 +467,8 @@ TILTS = [(None, None), ((-0.1, 0.3, 0.95), None), (None, (0.25, 0.2, 0.947)), ((
 @pytest.mark.parametrize("back", [False, True], ids=["front", "back"])
 @pytest.mark.parametrize(("smooth", "normal"), TILTS, ids=["flat", "smooth", "bump", "both"])
 def test_agrees_with_cycles_in_sunlight(back: bool, smooth: Any, normal: Any, tmp_path: Path) -> None:
-    """A point sun makes the picture f * |cos| itself, with no noise. Tolerance: float32 and 1e-4 of the tables; normals of a mesh are stored in 16 bits."""
+    """A point sun makes the picture f * |cos| itself, with no noise. Tolerance: float32 and 1e-4 of the tables; normals
+    of a mesh are stored in 16 bits."""
     bpy = pytest.importorskip("bpy")
     scene = cycles_strips(back, smooth, normal)
     lamp = bpy.data.lights.new("sun", "SUN")
@@ -454,13 +486,16 @@ def test_agrees_with_cycles_in_sunlight(back: bool, smooth: Any, normal: Any, tm
             picture = cycles_picture(scene, wi, 1, tmp_path).mean(1)
             ours = np.array([evaluate(setup(case, wi, flags, n, ns), wo[None])[0, :3] for case in CASES])
             wrong = np.abs(ours - picture) > (2e-3 if smooth is not None else 3e-4) * np.maximum(picture, 1e-2)
-            assert not wrong.any(), [(CASES[i], degrees, polar, ours[i], picture[i]) for i in np.flatnonzero(wrong.any(1))[:3]]
+            assert not wrong.any(), [
+                (CASES[i], degrees, polar, ours[i], picture[i]) for i in np.flatnonzero(wrong.any(1))[:3]
+            ]
 
 
 @pytest.mark.blender
 @pytest.mark.parametrize("back", [False, True], ids=["front", "back"])
 def test_agrees_with_cycles_under_a_white_sky(back: bool, tmp_path: Path) -> None:
-    """Mean radiance is the albedo: sampling, sharp lobes and transparency as well. Z-test over all cases and channels, plus the 3e-4 of the tables."""
+    """Mean radiance is the albedo: sampling, sharp lobes and transparency as well. Z-test over all cases and channels,
+    plus the 3e-4 of the tables."""
     bpy = pytest.importorskip("bpy")
     scene = cycles_strips(back, None, None)
     scene.world = bpy.data.worlds.new("world")

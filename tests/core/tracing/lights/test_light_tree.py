@@ -18,13 +18,23 @@ def some_lights(count: int, seed: int = 0) -> LightBounds:
     axis = rng.normal(size=(count, 3))
     axis /= np.linalg.norm(axis, axis=1)[:, None]
     theta_o = rng.choice(np.array([0.0, 0.4, np.pi]), count)
-    return LightBounds(centre - half, centre + half, axis, theta_o, np.full(count, np.pi / 2), rng.random(count) * 3 + 0.1, rng.random(count) < 0.4)
+    return LightBounds(
+        centre - half,
+        centre + half,
+        axis,
+        theta_o,
+        np.full(count, np.pi / 2),
+        rng.random(count) * 3 + 0.1,
+        rng.random(count) < 0.4,
+    )
 
 
 def points(count: int) -> np.ndarray:
     rng = np.random.default_rng(9)
     n = rng.normal(size=(count, 3))
-    return np.concatenate([rng.normal(size=(count, 3)) * 6, n / np.linalg.norm(n, axis=1)[:, None]], 1).astype(np.float32)
+    return np.concatenate([rng.normal(size=(count, 3)) * 6, n / np.linalg.norm(n, axis=1)[:, None]], 1).astype(
+        np.float32
+    )
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 17, 300])
@@ -79,7 +89,9 @@ def test_near_and_bright_lights_are_preferred() -> None:
     low = np.array([[-0.1, -0.1, 1.0], [9.9, -0.1, 1.0]])
     b = LightBounds(low, low + 0.2, axis, np.full(2, np.pi), np.full(2, np.pi / 2), np.ones(2), np.zeros(2, bool))
     tree = build_light_tree(b)
-    near = tree_pdf(np.uint64(address(tree.nodes)), tree.children, tree.trails[0], *np.array([0, 0, 0, 0, 0, 1], np.float32))
+    near = tree_pdf(
+        np.uint64(address(tree.nodes)), tree.children, tree.trails[0], *np.array([0, 0, 0, 0, 0, 1], np.float32)
+    )
     assert near > 0.95
     assert node_importances(tree, (0, 0, 0), (0, 0, 1)).shape == (3,)
 

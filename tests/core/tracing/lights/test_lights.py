@@ -8,7 +8,14 @@ from scipy import stats
 
 from lipac.core.jit.pointers import address
 from lipac.core.scene import model as s
-from lipac.core.tracing.lights.environment import build_environment, direction_uv, environment_pdf, environment_radiance, sample_environment, uv_direction
+from lipac.core.tracing.lights.environment import (
+    build_environment,
+    direction_uv,
+    environment_pdf,
+    environment_radiance,
+    sample_environment,
+    uv_direction,
+)
 from lipac.core.tracing.lights.lamps import K_RADIANCE, lamp_constants, lamp_hit, lamp_pdf, lamp_share, sample_lamp
 from lipac.core.tracing.lights.lights import Lights, emissive_instances
 
@@ -26,7 +33,13 @@ def lamp(kind: s.LightKind, **fields: object) -> s.Records:
     light["kind"], light["position"], light["power"] = kind, (1, 2, 3), 100.0
     light["axis_x"], light["axis_y"], light["axis_z"] = TURN.T
     light["size"], light["spread"], light["spot_size"], light["spot_blend"] = (1.5, 0.7), np.pi, 1.2, 0.3
-    light["visibility"], light["cast_shadow"], light["normalize"], light["use_mis"], light["max_bounces"] = s.ALL_RAYS, 1, 1, 1, 1024
+    light["visibility"], light["cast_shadow"], light["normalize"], light["use_mis"], light["max_bounces"] = (
+        s.ALL_RAYS,
+        1,
+        1,
+        1,
+        1024,
+    )
     for name, value in fields.items():
         light[name] = value
     return light
@@ -42,7 +55,8 @@ SHAPES = {
     "spread": lamp(s.LightKind.AREA, spread=1.0),
     "sun": lamp(s.LightKind.SUN, angle=0.3),
 }
-BEFORE = (np.array([1, 2, 3]) - TURN[:, 2] * 2.5 + TURN[:, 0] * 0.4).astype(np.float32)  # a point that every lamp shines at
+# a point that every lamp shines at
+BEFORE = (np.array([1, 2, 3]) - TURN[:, 2] * 2.5 + TURN[:, 0] * 0.4).astype(np.float32)
 
 
 def samples(light: s.Records, p: np.ndarray, count: int, seed: int = 0) -> list[np.ndarray]:
@@ -72,7 +86,8 @@ def test_a_sampled_direction_meets_the_lamp_with_the_same_density_and_radiance(n
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_the_density_integrates_to_one(name: str) -> None:
-    """Uniform directions that meet the lamp, weighed by its density: mean 1 within five standard errors. Lamps are seen from near, so that many do."""
+    """Uniform directions that meet the lamp, weighed by its density: mean 1 within five standard errors. Lamps are seen
+    from near, so that many do."""
     light = SHAPES[name]
     p = (np.array([1, 2, 3]) - TURN[:, 2] * 0.7).astype(np.float32)
     k = lamp_constants(light)[0]
@@ -103,9 +118,20 @@ def test_an_area_lamp_radiates_its_power_whatever_its_spread() -> None:
     theta = (np.arange(20000) + 0.5) / 20000 * np.pi / 2
     for spread in (np.pi, 2.0, 0.6, 0.04):
         k = lamp_constants(lamp(s.LightKind.AREA, spread=spread))[0]
-        share = np.array([lamp_share(k, 1.0, 2.0, 3.0, *(TURN[:, 2] * np.cos(a) + TURN[:, 0] * np.sin(a))) for a in theta[::10]])
-        flux = 1.5 * 0.7 * k[K_RADIANCE] * (share * np.cos(theta[::10]) * np.sin(theta[::10])).sum() * (np.pi / 2 / 2000) * 2 * np.pi
-        assert flux == pytest.approx(100, rel=0.02 if spread < 0.1 else 2e-3), spread  # few angles fall into a narrow beam
+        share = np.array(
+            [lamp_share(k, 1.0, 2.0, 3.0, *(TURN[:, 2] * np.cos(a) + TURN[:, 0] * np.sin(a))) for a in theta[::10]]
+        )
+        flux = (
+            1.5
+            * 0.7
+            * k[K_RADIANCE]
+            * (share * np.cos(theta[::10]) * np.sin(theta[::10])).sum()
+            * (np.pi / 2 / 2000)
+            * 2
+            * np.pi
+        )
+        # few angles fall into a narrow beam
+        assert flux == pytest.approx(100, rel=0.02 if spread < 0.1 else 2e-3), spread
 
 
 def test_a_sun_gives_its_irradiance() -> None:
@@ -159,12 +185,20 @@ def test_world_samples_follow_their_density() -> None:
         dx, dy, dz, pdf = sample_environment(a, b, w, h, *x)
         places[i] = direction_uv(dx, dy, dz)
         if i < 300:
-            assert environment_pdf(a, b, w, h, dx, dy, dz) == pytest.approx(pdf, rel=0.02)  # near the poles the cosine is small and rounded
+            # near the poles the cosine is small and rounded
+            assert environment_pdf(a, b, w, h, dx, dy, dz) == pytest.approx(pdf, rel=0.02)
     share = np.diff(e.marginal)[:, None] * np.diff(e.conditional, axis=1)
     bins = share.reshape(12, 2, 24, 2).sum((1, 3)).ravel() * len(u)
     observed = np.histogram2d(places[:, 1], places[:, 0], bins=(12, 24), range=[[0, 1], [0, 1]])[0].ravel()
     rare = bins < 5
-    assert stats.chisquare(np.append(observed[~rare], observed[rare].sum()), np.append(bins[~rare], bins[rare].sum() + 1e-3), sum_check=False).pvalue > 1e-4
+    assert (
+        stats.chisquare(
+            np.append(observed[~rare], observed[rare].sum()),
+            np.append(bins[~rare], bins[rare].sum() + 1e-3),
+            sum_check=False,
+        ).pvalue
+        > 1e-4
+    )
 
 
 def test_world_density_integrates_to_one() -> None:
@@ -184,7 +218,9 @@ def test_world_lookup_interpolates_and_wraps() -> None:
     e = build_environment(spotted_world())
     assert e is not None
     image = np.uint64(address(e.image))
-    assert environment_radiance(image, 48, 24, *uv_direction(F(7.5 / 48), F(18.5 / 24))) == pytest.approx((300, 300, 300), rel=1e-3)
+    assert environment_radiance(image, 48, 24, *uv_direction(F(7.5 / 48), F(18.5 / 24))) == pytest.approx(
+        (300, 300, 300), rel=1e-3
+    )
     middle = environment_radiance(image, 48, 24, *uv_direction(F(8.0 / 48), F(18.5 / 24)))
     assert middle == pytest.approx((150.025,) * 3, rel=1e-3)
     across = environment_radiance(image, 48, 24, *uv_direction(F(1e-4), F(0.5)))

@@ -1,4 +1,5 @@
-"""Renders as the scene says write what `blender -b -f` writes: the same files, layers, metadata and pixels, where nothing visible is culled."""
+"""Renders as the scene says write what `blender -b -f` writes: the same files, layers, metadata and pixels, where
+nothing visible is culled."""
 
 import struct
 from pathlib import Path
@@ -19,26 +20,53 @@ from lipac.scripts.lipac import main
 OpenEXR = pytest.importorskip("OpenEXR")
 pytestmark = [pytest.mark.slow, pytest.mark.blender]
 FAR = CullOptions(policy="distance", setting=19.5)  # the boxes behind the wall, which nothing shows
-OF_THE_RUN = ("Date", "DateTime", "RenderTime", "render_time", "synchronization_time", "total_time", "Memory", "Hostname")  # of each run its own
+# of each run its own
+OF_THE_RUN = (
+    "Date",
+    "DateTime",
+    "RenderTime",
+    "render_time",
+    "synchronization_time",
+    "total_time",
+    "Memory",
+    "Hostname",
+)
 
 
 def values(thing):
-    return {p.identifier: str(getattr(thing, p.identifier)) for p in thing.bl_rna.properties if p.type not in ("POINTER", "COLLECTION")}
+    return {
+        p.identifier: str(getattr(thing, p.identifier))
+        for p in thing.bl_rna.properties
+        if p.type not in ("POINTER", "COLLECTION")
+    }
 
 
 def images(folder):
-    """Of each picture below a folder what it says of itself, without what differs from run to run, and its channels' pixels."""
+    """Of each picture below a folder what it says of itself, without what differs from run to run, and its channels'
+    pixels."""
     out = {}
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
         parts = exr_parts(path) if path.suffix == ".exr" else [(png_head(path), {"all": read_picture(path)})]
-        out[str(path.relative_to(folder))] = [({k: v for k, v in head.items() if not any(word in k for word in OF_THE_RUN)}, pixels) for head, pixels in parts]
+        out[str(path.relative_to(folder))] = [
+            ({k: v for k, v in head.items() if not any(word in k for word in OF_THE_RUN)}, pixels)
+            for head, pixels in parts
+        ]
     return out
 
 
 def exr_parts(path):
     with OpenEXR.File(str(path), separate_channels=True) as file:
-        parts = [({k: str(v) for k, v in part.header.items()}, {name: np.array(c.pixels) for name, c in part.channels.items()}) for part in file.parts]
-    return [(head | {f"type of {name}": str(pixels.dtype) for name, pixels in planes.items()}, planes) for head, planes in parts]
+        parts = [
+            (
+                {k: str(v) for k, v in part.header.items()},
+                {name: np.array(c.pixels) for name, c in part.channels.items()},
+            )
+            for part in file.parts
+        ]
+    return [
+        (head | {f"type of {name}": str(pixels.dtype) for name, pixels in planes.items()}, planes)
+        for head, planes in parts
+    ]
 
 
 def png_head(path):
@@ -63,7 +91,9 @@ def assert_same(ours, theirs):
         for (my_head, mine), (head, other) in zip(ours[name], parts, strict=True):
             assert my_head == head, name
             assert mine.keys() == other.keys(), name
-            assert [channel for channel in other if not np.array_equal(mine[channel], other[channel], equal_nan=True)] == [], name
+            assert [
+                channel for channel in other if not np.array_equal(mine[channel], other[channel], equal_nan=True)
+            ] == [], name
 
 
 def by_blender(scene, frame):
@@ -92,7 +122,9 @@ def both(scene, tmp_path, **more):
             job = Job(tmp_path / "report", (2, 3), FAR, engine_of(scene), as_scene=True, **more)
             run(job, report)
             after = [values(scene), values(scene.render), values(scene.cycles), values(scene.render.image_settings)]
-            assert {k: v for k, v in after[0].items() if not k.startswith("frame_")} == {k: v for k, v in before[0].items() if not k.startswith("frame_")}
+            assert {k: v for k, v in after[0].items() if not k.startswith("frame_")} == {
+                k: v for k, v in before[0].items() if not k.startswith("frame_")
+            }
             assert after[1:] == before[1:]
             assert (scene.frame_start, scene.frame_end) == (1, 250)
         found.append(images(folder))
@@ -101,7 +133,8 @@ def both(scene, tmp_path, **more):
 
 @pytest.fixture
 def asking(boxes):
-    """A scene that asks for all there is: passes in multilayer OpenEXR, two layers, a region, a compositor with a file of its own, a pattern, metadata."""
+    """A scene that asks for all there is: passes in multilayer OpenEXR, two layers, a region, a compositor with a file
+    of its own, a pattern, metadata."""
     render = boxes.render
     render.filepath = "shot_###_x"
     render.image_settings.media_type, render.image_settings.file_format = "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER"
@@ -114,7 +147,9 @@ def asking(boxes):
     render.use_stamp_note, render.stamp_note_text = True, "a note"
     tree = boxes.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-    layers, output, file = (tree.nodes.new(n) for n in ("CompositorNodeRLayers", "NodeGroupOutput", "CompositorNodeOutputFile"))
+    layers, output, file = (
+        tree.nodes.new(n) for n in ("CompositorNodeRLayers", "NodeGroupOutput", "CompositorNodeOutputFile")
+    )
     file.file_output_items.new("RGBA", "graded")
     for socket in (output.inputs[0], file.inputs[0]):
         tree.links.new(layers.outputs["Image"], socket)
@@ -158,7 +193,9 @@ def test_views_are_all_rendered_and_nothing_is_culled(boxes, tmp_path):
 
 def test_what_cannot_be_rendered_so_is_refused(boxes):
     boxes.render.engine = "BLENDER_WORKBENCH"
-    with pytest.raises(InputError, match=r"^--as-scene: scene 'Scene' is rendered by BLENDER_WORKBENCH, which culling does not reach"):
+    with pytest.raises(
+        InputError, match=r"^--as-scene: scene 'Scene' is rendered by BLENDER_WORKBENCH, which culling does not reach"
+    ):
         engine_of(boxes)
     boxes.render.engine = "CYCLES"
     boxes.render.image_settings.media_type, boxes.render.image_settings.file_format = "VIDEO", "FFMPEG"
@@ -174,7 +211,25 @@ def test_by_the_command(asking, tmp_path, capfd):
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     out = tmp_path / "out"
     capfd.readouterr()
-    assert main(["render", str(path), "-o", str(out), "--as-scene", "--cull", "distance", "--distance", "19.5", "--frames", "4", "--quiet"]) == 0
+    assert (
+        main(
+            [
+                "render",
+                str(path),
+                "-o",
+                str(out),
+                "--as-scene",
+                "--cull",
+                "distance",
+                "--distance",
+                "19.5",
+                "--frames",
+                "4",
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     assert [str(p.relative_to(tmp_path)) for p in (tmp_path / "pictures").iterdir()] == ["pictures/p_04.exr"]
     assert (out / "report.json").exists() and not list(out.glob("frame*"))
     capfd.readouterr()

@@ -1,4 +1,5 @@
-"""Where Cycles renders: choices, what is here, refusals, and that scene and preferences are as before. Cards are made up: machines of tests have none."""
+"""Where Cycles renders: choices, what is here, refusals, and that scene and preferences are as before. Cards are made
+up: machines of tests have none."""
 
 import _cycles
 import bpy
@@ -20,7 +21,11 @@ def preferences():
 
 def state(preferences):
     kind = preferences.get_compute_device_type()
-    return kind, [(entry.name, entry.type, entry.id, entry.use) for entry in preferences.devices], bpy.context.scene.cycles.device
+    return (
+        kind,
+        [(entry.name, entry.type, entry.id, entry.use) for entry in preferences.devices],
+        bpy.context.scene.cycles.device,
+    )
 
 
 @pytest.fixture
@@ -37,7 +42,12 @@ def cards(boxes, preferences, monkeypatch):
     monkeypatch.setattr(_cycles, "available_devices", available)
 
 
-CHOICES = [("auto", ("auto",)), ("CPU", ("cpu",)), ("optix:0, 2", ("optix", ("0", "2"))), ("cuda:Slow", ("cuda", ("Slow",)))]
+CHOICES = [
+    ("auto", ("auto",)),
+    ("CPU", ("cpu",)),
+    ("optix:0, 2", ("optix", ("0", "2"))),
+    ("cuda:Slow", ("cuda", ("Slow",))),
+]
 
 
 @pytest.mark.parametrize(("text", "choice"), CHOICES)
@@ -61,7 +71,9 @@ def test_the_cpu_is_always_there(boxes, preferences):
 
 
 def test_what_is_not_here_is_refused(boxes, cards):
-    with pytest.raises(InputError, match=r"^--device hip: no HIP device that Cycles can use is here; there is CPU, OptiX, CUDA$"):
+    with pytest.raises(
+        InputError, match=r"^--device hip: no HIP device that Cycles can use is here; there is CPU, OptiX, CUDA$"
+    ):
         find_device(boxes, DeviceChoice("hip"))
     with pytest.raises(InputError, match=r"^--device cuda:7: no card '7'; CUDA has 0 Quick 9000, 1 Slow 10$"):
         find_device(boxes, DeviceChoice("cuda", ("7",)))

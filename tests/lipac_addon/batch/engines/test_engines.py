@@ -15,7 +15,11 @@ pytestmark = pytest.mark.slow
 
 
 def values(thing):
-    return {p.identifier: str(getattr(thing, p.identifier)) for p in thing.bl_rna.properties if p.type not in ("POINTER", "COLLECTION")}
+    return {
+        p.identifier: str(getattr(thing, p.identifier))
+        for p in thing.bl_rna.properties
+        if p.type not in ("POINTER", "COLLECTION")
+    }
 
 
 def test_cycles(boxes, tmp_path):
@@ -23,7 +27,9 @@ def test_cycles(boxes, tmp_path):
     boxes.render.use_border = True
     before = [values(boxes.render), values(boxes.cycles), values(boxes.render.image_settings)]
     said = []
-    first = render_blender("cycles", tmp_path / "a", samples=3, seed=5, threads=1, progress=lambda f, w: said.append((f, w)))
+    first = render_blender(
+        "cycles", tmp_path / "a", samples=3, seed=5, threads=1, progress=lambda f, w: said.append((f, w))
+    )
     render_blender("cycles", tmp_path / "b", samples=3, seed=5, threads=2)
     render_blender("cycles", tmp_path / "c", samples=3, seed=6)
     assert [values(boxes.render), values(boxes.cycles), values(boxes.render.image_settings)] == before
@@ -38,7 +44,9 @@ def test_cycles(boxes, tmp_path):
 def test_file_outputs_write_nothing(boxes, tmp_path):
     tree = boxes.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-    layers, output, file = (tree.nodes.new(n) for n in ("CompositorNodeRLayers", "NodeGroupOutput", "CompositorNodeOutputFile"))
+    layers, output, file = (
+        tree.nodes.new(n) for n in ("CompositorNodeRLayers", "NodeGroupOutput", "CompositorNodeOutputFile")
+    )
     file.directory = str(tmp_path / "theirs")
     file.file_output_items.new("RGBA", "Image")
     for socket in (output.inputs[0], file.inputs[0]):
@@ -93,14 +101,17 @@ def test_eevee(boxes, tmp_path):
 
 
 def test_path(boxes, tmp_path):
-    """The linear mean of the path tracer's picture is that of Cycles, to the noise: 3 standard errors of the difference of 8 independent pairs."""
+    """The linear mean of the path tracer's picture is that of Cycles, to the noise: 3 standard errors of the difference
+    of 8 independent pairs."""
     scene = extract_frame(boxes).scene
     everything = np.ones(len(scene.instances), bool)
     differences = []
     for seed in range(8):
         render_path(scene, everything, tmp_path / "p", samples=8, seed=seed)
         render_blender("cycles", tmp_path / "c", samples=8, seed=seed)
-        differences.append(read_picture(tmp_path / "p.exr")[..., :3].mean() - read_picture(tmp_path / "c.exr")[..., :3].mean())
+        differences.append(
+            read_picture(tmp_path / "p.exr")[..., :3].mean() - read_picture(tmp_path / "c.exr")[..., :3].mean()
+        )
     error = np.std(differences, ddof=1) / np.sqrt(len(differences))
     assert abs(np.mean(differences)) < 3 * error + 1e-6
 
@@ -120,19 +131,29 @@ def test_left_out(boxes):
     boxes.render.use_border = boxes.render.use_motion_blur = True
     boxes.view_layers.new("second")
     boxes.compositing_node_group = bpy.data.node_groups.new("grade", "CompositorNodeTree")
-    named = {engine: [line.partition(":")[0] for line in left_out(boxes, engine)] for engine in ("", "cycles", "hybrid", "path")}
+    named = {
+        engine: [line.partition(":")[0] for line in left_out(boxes, engine)]
+        for engine in ("", "cycles", "hybrid", "path")
+    }
     ours = ["render region", "view layers", "motion blur", "compositing"]
     assert named == {"": [], "cycles": ["render region"], "hybrid": ours, "path": ours}
 
 
 def test_output_that_is_left_out_is_said(boxes):
-    """In one line, which names the way to have it; with that, nothing is left out. What a scene does not ask for, or has muted, is not named."""
+    """In one line, which names the way to have it; with that, nothing is left out. What a scene does not ask for, or
+    has muted, is not named."""
     tree = boxes.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
     files = [tree.nodes.new("CompositorNodeOutputFile") for _ in range(3)]
     files[0].mute = True
-    boxes.render.image_settings.media_type, boxes.render.image_settings.file_format = "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER"
+    boxes.render.image_settings.media_type, boxes.render.image_settings.file_format = (
+        "MULTI_LAYER_IMAGE",
+        "OPEN_EXR_MULTILAYER",
+    )
     boxes.render.use_stamp = True
-    said = "output: pictures are .exr and .png; left out: passes in multilayer OpenEXR, 2 File Output nodes of the compositor, text burnt into the picture"
+    said = (
+        "output: pictures are .exr and .png; left out: passes in multilayer OpenEXR, 2 File Output nodes of the "
+        "compositor, text burnt into the picture"
+    )
     assert left_out(boxes, "cycles") == [said + "; --as-scene writes all of it"]
     assert left_out(boxes, "path")[0] == said
     assert left_out(boxes, "cycles", as_scene=True) == left_out(boxes, "") == []

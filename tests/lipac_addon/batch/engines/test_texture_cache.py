@@ -1,4 +1,5 @@
-"""Blender's texture cache: files where they are asked for, nothing beside the user's images, settings put back, and a line where it does not work."""
+"""Blender's texture cache: files where they are asked for, nothing beside the user's images, settings put back, and a
+line where it does not work."""
 
 from pathlib import Path
 
@@ -96,7 +97,10 @@ def test_nothing_is_changed_where_nobody_asks(scene):
 @needs_cache
 def test_a_folder_that_cannot_be(scene, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"^--texture-cache .*file/tiles: cannot make it: Not a directory"), texture_cache(scene, tmp_path / "file" / "tiles"):
+    with (
+        pytest.raises(InputError, match=r"^--texture-cache .*file/tiles: cannot make it: Not a directory"),
+        texture_cache(scene, tmp_path / "file" / "tiles"),
+    ):
         pass
 
 

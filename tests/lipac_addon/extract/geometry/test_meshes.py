@@ -15,7 +15,8 @@ from ..conftest import add, cube, wedge
 
 
 def test_normals_slots_and_uvs() -> None:
-    """Flat meshes have no normals, smooth ones one per corner; slots and UVs follow their triangles; UVs only where a texture needs them."""
+    """Flat meshes have no normals, smooth ones one per corner; slots and UVs follow their triangles; UVs only where a
+    texture needs them."""
     mesh = cube()
     plain, textured = (bpy.data.materials.new(n) for n in ("plain", "textured"))
     tree = textured.node_tree
@@ -57,7 +58,8 @@ def test_normals_slots_and_uvs() -> None:
 
 
 def test_triangles_are_those_that_blender_gives_out() -> None:
-    """Read in one piece: as one by one, for triangles, quads and n-gons, with slots, of a mesh by itself and of one that a modifier makes."""
+    """Read in one piece: as one by one, for triangles, quads and n-gons, with slots, of a mesh by itself and of one
+    that a modifier makes."""
     mesh = bpy.data.meshes.new("mixed")
     rng = np.random.default_rng(0)
     mesh.from_pydata(rng.random((40, 3)).tolist(), [], [tuple(range(k, k + 3 + k % 5)) for k in range(0, 30, 3)])
@@ -76,7 +78,8 @@ def test_triangles_are_those_that_blender_gives_out() -> None:
 
 
 def test_not_finite_vertices() -> None:
-    """Triangles with NaN, infinite or absurd vertices are left out with a warning, bounds and the rest stand; a mesh of nothing else is no mesh."""
+    """Triangles with NaN, infinite or absurd vertices are left out with a warning, bounds and the rest stand; a mesh of
+    nothing else is no mesh."""
     mesh = cube("broken")
     mesh.vertices[0].co = (float("nan"), 0, 0)
     mesh.vertices[1].co = (0, 3e38, 0)
@@ -126,7 +129,14 @@ def test_extraction_changes_nothing() -> None:
     def state() -> tuple[object, ...]:
         names = ("objects", "cameras", "scenes", "worlds", "meshes", "images", "collections")
         render = scene.render
-        return (render.engine, render.use_compositing, render.use_sequencer, scene.camera, scene.frame_current, *[len(getattr(bpy.data, n)) for n in names])
+        return (
+            render.engine,
+            render.use_compositing,
+            render.use_sequencer,
+            scene.camera,
+            scene.frame_current,
+            *[len(getattr(bpy.data, n)) for n in names],
+        )
 
     before = state()
     extract_frame(scene, allow_no_camera=True)

@@ -19,7 +19,8 @@ from ..conftest import add, cube
 
 
 class Tree:
-    """A material's tree, emptied to its output; `new(type, **inputs)` makes nodes, input names with spaces as underscores."""
+    """A material's tree, emptied to its output; `new(type, **inputs)` makes nodes, input names with spaces as
+    underscores."""
 
     def __init__(self) -> None:
         self.material = bpy.data.materials.new("m")
@@ -134,8 +135,14 @@ def test_principled_constants() -> None:
 def test_principled_extras_are_reported() -> None:
     """Subsurface and the like are named."""
     t = Tree()
-    _, _, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Subsurface Weight": 0.5, "Sheen Weight": 1.0, "Anisotropic": 0.2}))
-    assert lines == ["material m: subsurface not rendered", "material m: sheen not rendered", "material m: anisotropy not rendered"]
+    _, _, lines = t.record(
+        t.new("ShaderNodeBsdfPrincipled", {"Subsurface Weight": 0.5, "Sheen Weight": 1.0, "Anisotropic": 0.2})
+    )
+    assert lines == [
+        "material m: subsurface not rendered",
+        "material m: sheen not rendered",
+        "material m: anisotropy not rendered",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -188,7 +195,12 @@ def test_groups_and_arithmetic_fold() -> None:
     node.inputs[0].default_value = 0.6
     mix = t.new("ShaderNodeMix", {0: 0.25, 6: (1, 0, 0, 1), 7: (0, 1, 0, 1)}, data_type="RGBA")
     ramp = t.new("ShaderNodeValToRGB", {0: 0.5})
-    record, _, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Roughness": node.outputs[0], "Base Color": mix.outputs[2], "Metallic": ramp.outputs[0]}))
+    record, _, lines = t.record(
+        t.new(
+            "ShaderNodeBsdfPrincipled",
+            {"Roughness": node.outputs[0], "Base Color": mix.outputs[2], "Metallic": ramp.outputs[0]},
+        )
+    )
     assert not lines
     assert record["roughness"] == pytest.approx(0.3)
     assert record["metallic"] == pytest.approx(0.5, abs=1 / 256)  # a table of 256 steps
@@ -196,7 +208,8 @@ def test_groups_and_arithmetic_fold() -> None:
 
 
 def test_shader_combinations() -> None:
-    """Transparent becomes a Principled's alpha, Emission the emission of plain shaders; all else shows either part, by its share, unreported."""
+    """Transparent becomes a Principled's alpha, Emission the emission of plain shaders; all else shows either part, by
+    its share, unreported."""
     t = Tree()
     a = t.new("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.4, 0.2, 1)})
     principled, lamp = t.new("ShaderNodeBsdfPrincipled"), t.new("ShaderNodeEmission", {"Strength": 2.0})
@@ -207,14 +220,21 @@ def test_shader_combinations() -> None:
         assert not lines
         return parts
 
-    assert [float(record["alpha"]) for factor, *two in ((0.3, clear, principled), (0.7, principled, clear)) for record in mix(factor, *two)] == [
-        np.float32(0.3),
-        np.float32(0.3),
-    ]
+    assert [
+        float(record["alpha"])
+        for factor, *two in ((0.3, clear, principled), (0.7, principled, clear))
+        for record in mix(factor, *two)
+    ] == [np.float32(0.3), np.float32(0.3)]
     record = mix(0.25, a, lamp)[0]
     np.testing.assert_allclose(record["emission"], [0.5, 0.5, 0.5], rtol=1e-6)
     np.testing.assert_allclose(record["base_color"], [0.6, 0.3, 0.15], rtol=1e-6)
-    for first, second, shaders in ((clear, a, (5, 1)), (a, clear, (1, 5)), (a, glossy, (1, 2)), (principled, lamp, (0, 4)), (principled, principled, (0, 0))):
+    for first, second, shaders in (
+        (clear, a, (5, 1)),
+        (a, clear, (1, 5)),
+        (a, glossy, (1, 2)),
+        (principled, lamp, (0, 4)),
+        (principled, principled, (0, 0)),
+    ):
         head, *below = mix(0.7, first, second)
         assert (head["shader"], head["alpha"], head["parts"].tolist()) == (Shader.MIX, np.float32(0.7), [1, 2])
         assert tuple(part["shader"] for part in below) == shaders
@@ -234,7 +254,12 @@ def test_a_mix_of_mixes_refers_to_its_own_parts() -> None:
     kinds = ("Diffuse", "Transparent", "Glass", "Translucent")
     nodes = [t.new(f"ShaderNodeBsdf{kind}") for kind in kinds]
     for one in nodes[1:]:
-        nodes.append(t.new("ShaderNodeMixShader", {0: 0.5, 1: nodes[-1].outputs[0] if len(nodes) > 4 else nodes[0].outputs[0], 2: one.outputs[0]}))
+        nodes.append(
+            t.new(
+                "ShaderNodeMixShader",
+                {0: 0.5, 1: nodes[-1].outputs[0] if len(nodes) > 4 else nodes[0].outputs[0], 2: one.outputs[0]},
+            )
+        )
     t.tree.links.new(nodes[-1].outputs[0], t.output.inputs["Surface"])
     table = MaterialTable(TextureTable(print))
     indices = [table.index(None), table.index(t.material)]
@@ -271,14 +296,20 @@ def test_rays_and_sides_are_told_apart() -> None:
     t = Tree()
     clear, solid = t.new("ShaderNodeBsdfTransparent"), t.new("ShaderNodeBsdfDiffuse")
     light, geometry = t.new("ShaderNodeLightPath"), t.new("ShaderNodeNewGeometry")
-    either = t.new("ShaderNodeMath", {0: light.outputs["Is Camera Ray"], 1: light.outputs["Is Reflection Ray"]}, operation="MAXIMUM")
+    either = t.new(
+        "ShaderNodeMath",
+        {0: light.outputs["Is Camera Ray"], 1: light.outputs["Is Reflection Ray"]},
+        operation="MAXIMUM",
+    )
     for factor, front, back in (
         (light.outputs["Is Camera Ray"], {RayType.CAMERA}, {RayType.CAMERA}),
         (light.outputs["Is Shadow Ray"], {RayType.SHADOW}, {RayType.SHADOW}),
         (either.outputs[0], {0, 1, 2}, {0, 1, 2}),
         (geometry.outputs["Backfacing"], set(), set(range(VIEWS))),
     ):
-        (head, *parts), _, lines = t.parts(t.new("ShaderNodeMixShader", {0: factor, 1: solid.outputs[0], 2: clear.outputs[0]}))
+        (head, *parts), _, lines = t.parts(
+            t.new("ShaderNodeMixShader", {0: factor, 1: solid.outputs[0], 2: clear.outputs[0]})
+        )
         assert not lines
         assert head["shader"] == Shader.BY_RAY
         shaders = [int(part["shader"]) for part in parts]
@@ -292,13 +323,20 @@ def test_rays_and_sides_are_told_apart() -> None:
 
 @pytest.mark.parametrize("kind", ["TexNoise", "VertexColor", "ObjectInfo", "CameraData"])
 def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
-    """A share, an alpha or a transmission by what the tracer does not evaluate: a half, marked as unsure, and reported; other inputs are not."""
+    """A share, an alpha or a transmission by what the tracer does not evaluate: a half, marked as unsure, and reported;
+    other inputs are not."""
     t = Tree()
     source = t.new(f"ShaderNode{kind}").outputs
-    value = next(s for s in source if s.type == "VALUE" and s.name not in {"Alpha"}) if kind != "VertexColor" else source[0]
+    value = (
+        next(s for s in source if s.type == "VALUE" and s.name not in {"Alpha"}) if kind != "VertexColor" else source[0]
+    )
     clear = t.new("ShaderNodeBsdfTransparent")
     for factor in (value, t.new("ShaderNodeMath", {0: value, 1: 0.1}, operation="MULTIPLY").outputs[0]):
-        (head, *parts), _, lines = t.parts(t.new("ShaderNodeMixShader", {0: factor, 1: clear.outputs[0], 2: t.new("ShaderNodeBsdfPrincipled").outputs[0]}))
+        (head, *parts), _, lines = t.parts(
+            t.new(
+                "ShaderNodeMixShader", {0: factor, 1: clear.outputs[0], 2: t.new("ShaderNodeBsdfPrincipled").outputs[0]}
+            )
+        )
         assert (head["shader"], head["alpha"], [int(part["unsure"]) for part in parts]) == (Shader.MIX, 0.5, [1, 1])
         assert len(lines) == 1
     for socket, field in (("Alpha", "alpha"), ("Transmission Weight", "transmission")):
@@ -323,20 +361,37 @@ def test_a_volume_alone_lets_light_pass() -> None:
     t = Tree()
     t.tree.links.new(t.new("ShaderNodeVolumeScatter").outputs[0], t.output.inputs["Volume"])
     (head, clear, scatters), _, lines = t.parts(None)
-    assert (head["alpha"], clear["shader"], scatters["shader"], clear["unsure"]) == (0.5, Shader.TRANSPARENT, Shader.TRANSLUCENT, 1)
+    assert (head["alpha"], clear["shader"], scatters["shader"], clear["unsure"]) == (
+        0.5,
+        Shader.TRANSPARENT,
+        Shader.TRANSLUCENT,
+        1,
+    )
     assert lines == ["material m: volume not rendered"]
     (record,), _, lines = t.parts(t.new("ShaderNodeBsdfDiffuse"))
     assert (record["shader"], len(lines)) == (Shader.DIFFUSE, 1)
 
 
 def test_image_with_mapping() -> None:
-    """Byte pixels come bottom row first, exactly; sRGB flag, extension, UV map and the matrix of Mapping nodes follow."""
+    """Byte pixels come bottom row first, exactly; sRGB flag, extension, UV map and the matrix of Mapping nodes
+    follow."""
     t = Tree()
     pixels = random_pixels()
     place = t.new("ShaderNodeUVMap", uv_map="other")
-    mapping = t.new("ShaderNodeMapping", {"Vector": place.outputs[0], "Location": (0.1, 0.2, 0), "Rotation": (0, 0, np.pi / 2), "Scale": (2, 3, 1)})
-    node = t.new("ShaderNodeTexImage", {"Vector": mapping.outputs[0]}, image=image(pixels), extension="MIRROR", interpolation="Closest")
-    tint = t.new("ShaderNodeMix", {0: 1.0, 6: node.outputs[0], 7: (0.5, 0.25, 1, 1)}, data_type="RGBA", blend_type="MULTIPLY")
+    mapping = t.new(
+        "ShaderNodeMapping",
+        {"Vector": place.outputs[0], "Location": (0.1, 0.2, 0), "Rotation": (0, 0, np.pi / 2), "Scale": (2, 3, 1)},
+    )
+    node = t.new(
+        "ShaderNodeTexImage",
+        {"Vector": mapping.outputs[0]},
+        image=image(pixels),
+        extension="MIRROR",
+        interpolation="Closest",
+    )
+    tint = t.new(
+        "ShaderNodeMix", {0: 1.0, 6: node.outputs[0], 7: (0.5, 0.25, 1, 1)}, data_type="RGBA", blend_type="MULTIPLY"
+    )
     record, textures, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Base Color": tint.outputs[2]}))
     assert not lines
     np.testing.assert_allclose(record["base_color"], [0.5, 0.25, 1])
@@ -347,17 +402,25 @@ def test_image_with_mapping() -> None:
 
 
 def test_pixel_arithmetic_is_baked() -> None:
-    """What is no product with a constant is computed pixel by pixel: here gloss to roughness, and the alpha that mixes in Transparent."""
+    """What is no product with a constant is computed pixel by pixel: here gloss to roughness, and the alpha that mixes
+    in Transparent."""
     t = Tree()
     pixels = random_pixels(1)
     node = t.new("ShaderNodeTexImage", image=image(pixels, data=True))
     red = t.new("ShaderNodeSeparateColor", {0: node.outputs[0]})
     rough = t.new("ShaderNodeMath", {0: 1.0, 1: red.outputs[1]}, operation="SUBTRACT")
     bsdf = t.new("ShaderNodeBsdfPrincipled", {"Roughness": rough.outputs[0], "Metallic": red.outputs[2]})
-    record, textures, lines = t.record(t.new("ShaderNodeMixShader", {0: red.outputs[0], 1: bsdf.outputs[0], 2: t.new("ShaderNodeBsdfTransparent").outputs[0]}))
+    record, textures, lines = t.record(
+        t.new(
+            "ShaderNodeMixShader",
+            {0: red.outputs[0], 1: bsdf.outputs[0], 2: t.new("ShaderNodeBsdfTransparent").outputs[0]},
+        )
+    )
     assert not lines
     assert record["metallic_channel"] == 2
-    np.testing.assert_array_equal(pixels_of(textures, record["metallic_texture"])[..., 2], np.round(pixels[..., 2] * 255))
+    np.testing.assert_array_equal(
+        pixels_of(textures, record["metallic_texture"])[..., 2], np.round(pixels[..., 2] * 255)
+    )
     assert textures.records[record["metallic_texture"]]["srgb"] == 0
     np.testing.assert_allclose(pixels_of(textures, record["roughness_texture"])[..., 0], 1 - pixels[..., 1], atol=1e-6)
     np.testing.assert_allclose(pixels_of(textures, record["alpha_texture"])[..., 0], 1 - pixels[..., 0], atol=1e-6)
@@ -368,7 +431,9 @@ def test_averages_are_linear() -> None:
     t = Tree()
     pixels = random_pixels(2)
     coded, floats = (t.new("ShaderNodeTexImage", image=image(pixels, floats=f)) for f in (False, True))
-    record, textures, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Specular Tint": coded.outputs[0], "Base Color": floats.outputs[0]}))
+    record, textures, lines = t.record(
+        t.new("ShaderNodeBsdfPrincipled", {"Specular Tint": coded.outputs[0], "Base Color": floats.outputs[0]})
+    )
     assert len(lines) == 1
     np.testing.assert_allclose(record["specular_tint"], srgb_to_linear(pixels[..., :3]).mean(axis=(0, 1)), rtol=1e-5)
     np.testing.assert_allclose(pixels_of(textures, record["base_color_texture"]), pixels, atol=1e-6)
@@ -379,23 +444,38 @@ def test_missing_image_is_magenta() -> None:
     t = Tree()
     gone = bpy.data.images.new("gone", 1, 1)
     gone.source, gone.filepath = "FILE", "//nowhere.png"
-    record, textures, lines = t.record(t.new("ShaderNodeBsdfPrincipled", {"Base Color": t.new("ShaderNodeTexImage", image=gone).outputs[0]}))
+    record, textures, lines = t.record(
+        t.new("ShaderNodeBsdfPrincipled", {"Base Color": t.new("ShaderNodeTexImage", image=gone).outputs[0]})
+    )
     assert len(lines) == 1
     assert "nowhere.png" in lines[0]
     np.testing.assert_array_equal(pixels_of(textures, record["base_color_texture"])[0, 0], [1, 0, 1, 1])
 
 
 def test_gltf_import(tmp_path: Path) -> None:
-    """A textured material through Blender's own glTF exporter and importer: factors, ORM channels, normal map, emission, alpha, texture transform."""
+    """A textured material through Blender's own glTF exporter and importer: factors, ORM channels, normal map,
+    emission, alpha, texture transform."""
     t = Tree()
     color, orm, normal, emission = random_pixels(3), random_pixels(4), random_pixels(5), random_pixels(6)
     color[..., 3] = np.random.default_rng(7).integers(1, 256, (16, 8)) / 255
-    place = t.new("ShaderNodeMapping", {"Vector": t.new("ShaderNodeUVMap", uv_map="UVMap").outputs[0], "Scale": (2, 2, 1)})
+    place = t.new(
+        "ShaderNodeMapping", {"Vector": t.new("ShaderNodeUVMap", uv_map="UVMap").outputs[0], "Scale": (2, 2, 1)}
+    )
     tex = {
         name: t.new("ShaderNodeTexImage", {"Vector": place.outputs[0]}, image=image(p, name, data))
-        for name, p, data in (("color", color, False), ("orm", orm, True), ("normal", normal, True), ("emission", emission, False))
+        for name, p, data in (
+            ("color", color, False),
+            ("orm", orm, True),
+            ("normal", normal, True),
+            ("emission", emission, False),
+        )
     }
-    tint = t.new("ShaderNodeMix", {0: 1.0, 6: tex["color"].outputs[0], 7: (0.5, 0.25, 1, 1)}, data_type="RGBA", blend_type="MULTIPLY")
+    tint = t.new(
+        "ShaderNodeMix",
+        {0: 1.0, 6: tex["color"].outputs[0], 7: (0.5, 0.25, 1, 1)},
+        data_type="RGBA",
+        blend_type="MULTIPLY",
+    )
     split = t.new("ShaderNodeSeparateColor", {0: tex["orm"].outputs[0]})
     rough = t.new("ShaderNodeMath", {0: split.outputs[1], 1: 0.5}, operation="MULTIPLY")
     inputs = {
@@ -425,7 +505,14 @@ def test_gltf_import(tmp_path: Path) -> None:
     assert [record[f"{n}_channel"] for n in ("roughness", "metallic", "alpha")] == [1, 2, 3]
     np.testing.assert_allclose(record["emission"], [3, 3, 3], rtol=1e-5)
     assert record["normal_strength"] == pytest.approx(0.7)
-    for name, pixels in (("base_color", color), ("alpha", color), ("roughness", orm), ("metallic", orm), ("normal", normal), ("emission", emission)):
+    for name, pixels in (
+        ("base_color", color),
+        ("alpha", color),
+        ("roughness", orm),
+        ("metallic", orm),
+        ("normal", normal),
+        ("emission", emission),
+    ):
         index = record[f"{name}_texture"]
         assert index >= 0, name
         np.testing.assert_array_equal(pixels_of(scene.textures, index), np.round(pixels * 255), err_msg=name)

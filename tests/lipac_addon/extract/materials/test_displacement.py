@@ -47,7 +47,9 @@ def ramp(t: Tree) -> Any:
 
 
 def unbounded(t: Tree) -> Any:
-    return t.new("ShaderNodeVectorMath", {0: t.new("ShaderNodeTexCoord").outputs["Object"]}, operation="LENGTH").outputs["Value"]
+    return t.new(
+        "ShaderNodeVectorMath", {0: t.new("ShaderNodeTexCoord").outputs["Object"]}, operation="LENGTH"
+    ).outputs["Value"]
 
 
 def floats(t: Tree) -> Any:
@@ -93,7 +95,9 @@ def test_shells_are_of_what_is_displaced() -> None:
     assert out.uvs is not None
     assert out.slots is not None
     np.testing.assert_allclose(out.positions[out.triangles][..., 2], np.repeat([[0.0], [-0.5], [2.0]], 3, axis=1))
-    np.testing.assert_array_equal(out.positions[out.triangles][:, :, :2], positions[mesh.triangles[[0, 1, 1]]][:, :, :2])
+    np.testing.assert_array_equal(
+        out.positions[out.triangles][:, :, :2], positions[mesh.triangles[[0, 1, 1]]][:, :, :2]
+    )
     np.testing.assert_array_equal(out.uvs, uvs[:, [0, 1, 1]])
     assert out.slots.tolist() == [0, 1, 1]
 
@@ -109,18 +113,31 @@ def rock() -> Any:
 
 
 def test_boxes_and_meshes_of_displaced_objects(rock: Tree) -> None:
-    """The box holds all that the surface may be; half of all rays pass each shell, and what they see is kept; said in the report. Bump moves nothing."""
+    """The box holds all that the surface may be; half of all rays pass each shell, and what they see is kept; said in
+    the report. Bump moves nothing."""
     scene = extract_frame(bpy.context.scene).scene
     np.testing.assert_allclose(scene.instances.bounds[0] + scene.origin, [[-1.5] * 3, [1.5] * 3], atol=1e-5)
     np.testing.assert_allclose(scene.mesh_bounds[0], [[-1.5] * 3, [1.5] * 3], atol=1e-5)
     mesh = scene.meshes[0]
     assert len(mesh.triangles) == 24
     reach = np.abs(mesh.positions[mesh.triangles]).reshape(24, -1)  # corners move along (1, 1, 1) / sqrt 3
-    np.testing.assert_allclose(np.sort(np.unique(reach.round(4))), [1 - 0.5 / np.sqrt(3), 1 + 0.5 / np.sqrt(3)], atol=1e-4)
+    np.testing.assert_allclose(
+        np.sort(np.unique(reach.round(4))), [1 - 0.5 / np.sqrt(3), 1 + 0.5 / np.sqrt(3)], atol=1e-4
+    )
     head, *parts = scene.materials
-    assert (head["shader"], head["alpha"], [int(p["shader"]) for p in parts], [int(p["unsure"]) for p in parts]) == (Shader.MIX, 0.5, [1, 5], [1, 1])
-    assert scene.approximated == ("material m: displacement taken for two surfaces, at its lowest and its highest: half of the rays pass each",)
-    for method, whole, line in (("BUMP", True, "material m: bump not rendered"), ("BOTH", False, "material m: displacement not rendered")):
+    assert (head["shader"], head["alpha"], [int(p["shader"]) for p in parts], [int(p["unsure"]) for p in parts]) == (
+        Shader.MIX,
+        0.5,
+        [1, 5],
+        [1, 1],
+    )
+    assert scene.approximated == (
+        "material m: displacement taken for two surfaces, at its lowest and its highest: half of the rays pass each",
+    )
+    for method, whole, line in (
+        ("BUMP", True, "material m: bump not rendered"),
+        ("BOTH", False, "material m: displacement not rendered"),
+    ):
         rock.material.displacement_method = method
         scene = Extractor(bpy.context.scene, whole=whole).frame(keep=False).scene
         assert len(scene.meshes[0].triangles) == 12

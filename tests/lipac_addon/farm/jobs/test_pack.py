@@ -19,7 +19,9 @@ from lipac.lipac_addon.open import open_scene
 from lipac.lipac_addon.pictures import read_picture
 
 pytestmark = pytest.mark.slow
-NEEDS = pytest.mark.skipif(bpy.app.version < (5, 1) or sys.version_info < (3, 13), reason="Blender Asset Tracer knows Blender 5.1 and later")
+NEEDS = pytest.mark.skipif(
+    bpy.app.version < (5, 1) or sys.version_info < (3, 13), reason="Blender Asset Tracer knows Blender 5.1 and later"
+)
 
 
 def texture(folder: Path, name: str, seed: int) -> Any:
@@ -44,7 +46,8 @@ def wear(ob: Any, image: Any) -> None:
 
 @pytest.fixture
 def textured(rising: Path, tmp_path: Path) -> FarmShot:
-    """Every box of the scene has a texture, one box is linked from a library; the shot is of a frame before the wall."""
+    """Every box of the scene has a texture, one box is linked from a library; the shot is of a frame before the
+    wall."""
     scene = tmp_path / "project" / "scenes" / "textured.blend"
     textures = tmp_path / "project" / "textures"
     scene.parent.mkdir(parents=True)
@@ -53,7 +56,9 @@ def textured(rising: Path, tmp_path: Path) -> FarmShot:
     for k in range(8):
         wear(bpy.data.objects[f"box{k}"], texture(textures, f"texture{k}", k))
     library = tmp_path / "project" / "library.blend"
-    bpy.data.libraries.write(str(library), {bpy.data.objects["box7"], bpy.data.objects["box0"]}, path_remap="RELATIVE_ALL")
+    bpy.data.libraries.write(
+        str(library), {bpy.data.objects["box7"], bpy.data.objects["box0"]}, path_remap="RELATIVE_ALL"
+    )
     for name in ("box7", "box0"):
         bpy.data.objects.remove(bpy.data.objects[name])
     bpy.data.orphans_purge(do_recursive=True)

@@ -1,4 +1,5 @@
-"""The overlay: which boxes, in which colour, in how many draw calls; pixels of an offscreen picture where Blender can draw without a window."""
+"""The overlay: which boxes, in which colour, in how many draw calls; pixels of an offscreen picture where Blender can
+draw without a window."""
 
 from itertools import pairwise
 from types import SimpleNamespace
@@ -54,14 +55,16 @@ def test_rows_of_the_texture(count):
 
 
 def test_colours_are_told_apart_by_the_colour_blind():
-    """By Machado, Oliveira and Fernandes' matrices (2009, severity 1) for protanopia and deuteranopia, in linear light."""
+    """By Machado, Oliveira and Fernandes' matrices (2009, severity 1) for protanopia and deuteranopia, in linear
+    light."""
     matrices = (
         [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
         [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
     )
     for matrix in (np.eye(3), *map(np.array, matrices)):
         seen = [lab(matrix @ [overlay._to_linear(x) for x in COLORS[kind]]) for kind in KINDS]
-        assert min(np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[:i]) > 40  # CIE 1976; 2.3 is a just noticeable difference
+        # CIE 1976; 2.3 is a just noticeable difference
+        assert min(np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[:i]) > 40
 
 
 def lab(linear):
@@ -113,7 +116,10 @@ def colour(kind, opacity=1.0, heat_map=False):
 
 def counts(picture, heat_map=False):
     """Pixels of each kind's colour."""
-    return {kind: int((np.abs(picture[..., :3] - colour(kind, heat_map=heat_map)).max(axis=2) <= 1.0).sum()) for kind in KINDS}
+    return {
+        kind: int((np.abs(picture[..., :3] - colour(kind, heat_map=heat_map)).max(axis=2) <= 1.0).sum())
+        for kind in KINDS
+    }
 
 
 # From above, orthographic: 8 metres fill the picture, so a metre is 16 pixels.
@@ -134,7 +140,8 @@ def test_pixels_carry_the_colour_of_their_state(canvas):
 def test_filter_and_opacity(canvas):
     half = canvas(lambda: overlay.draw_boxes(result_of(*FOUR), ("culled",), 0.5, ABOVE))
     assert counts(half) == dict.fromkeys(KINDS, 0)
-    twice = np.abs(half[..., :3] - colour("culled", 0.75)).max(axis=2) <= 2.0  # from above, the edges of lid and floor lie on one another
+    # from above, the edges of lid and floor lie on one another
+    twice = np.abs(half[..., :3] - colour("culled", 0.75)).max(axis=2) <= 2.0
     assert abs(twice.sum() - 64) <= 8
 
 
@@ -163,7 +170,9 @@ def test_heat_map(canvas):
 
 def test_far_from_the_origin(canvas):
     there = (1e6, -2e6, 0.0)
-    matrix = np.array(ABOVE, np.float64) @ np.array([[1, 0, 0, -there[0]], [0, 1, 0, -there[1]], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
+    matrix = np.array(ABOVE, np.float64) @ np.array(
+        [[1, 0, 0, -there[0]], [0, 1, 0, -there[1]], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64
+    )
     here = canvas(lambda: overlay.draw_boxes(result_of(*FOUR), KINDS, 1.0, ABOVE))
     far = canvas(lambda: overlay.draw_boxes(result_of(*FOUR, origin=there), KINDS, 1.0, matrix))
     np.testing.assert_array_equal(here, far)
@@ -200,7 +209,9 @@ def test_legend_is_in_the_colours_of_the_boxes(canvas):
     def draw():
         with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
             gpu.matrix.load_matrix(Matrix.Identity(4))
-            gpu.matrix.load_projection_matrix(Matrix(((2 / SIZE, 0, 0, -1), (0, 2 / SIZE, 0, -1), (0, 0, -1, 0), (0, 0, 0, 1))))
+            gpu.matrix.load_projection_matrix(
+                Matrix(((2 / SIZE, 0, 0, -1), (0, 2 / SIZE, 0, -1), (0, 0, -1, 0), (0, 0, 0, 1)))
+            )
             overlay.draw_legend(result, ("active", "culled"))
 
     found = counts(canvas(draw))
@@ -215,7 +226,9 @@ def test_legend_of_the_heat_map(canvas):
         overlay.upload(result)
         with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
             gpu.matrix.load_matrix(Matrix.Identity(4))
-            gpu.matrix.load_projection_matrix(Matrix(((2 / SIZE, 0, 0, -1), (0, 2 / SIZE, 0, -1), (0, 0, -1, 0), (0, 0, 0, 1))))
+            gpu.matrix.load_projection_matrix(
+                Matrix(((2 / SIZE, 0, 0, -1), (0, 2 / SIZE, 0, -1), (0, 0, -1, 0), (0, 0, 0, 1)))
+            )
             overlay.draw_legend(result, KINDS, heat_map=True)
 
     picture = canvas(draw)

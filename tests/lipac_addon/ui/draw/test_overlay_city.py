@@ -1,4 +1,5 @@
-"""The picture of the TLAS: the demo city's overlay, frozen, seen from outside over the viewport, and what of it is where."""
+"""The picture of the TLAS: the demo city's overlay, frozen, seen from outside over the viewport, and what of it is
+where."""
 
 import bpy
 import numpy as np
@@ -65,7 +66,8 @@ def is_colour(picture, kind):
 
 
 def outline(boxes):
-    """(H, W) bool: pixels within one of an edge of boxes (n, 2, 3) in the world, by projecting points on all edges in double precision."""
+    """(H, W) bool: pixels within one of an edge of boxes (n, 2, 3) in the world, by projecting points on all edges in
+    double precision."""
     view, projection = (np.array(m, np.float64) for m in outside(WIDTH / HEIGHT))
     corners = np.where(CORNERS[None] > 0, boxes[:, 1, None], boxes[:, 0, None]).astype(np.float64)
     t = np.linspace(0, 1, 400)[:, None]
@@ -84,25 +86,34 @@ def outline(boxes):
 def test_colours_lie_on_the_boxes_of_their_state(city):
     result, picture = city
     bounds = result.bounds.astype(np.float64) + result.origin
-    for kind, boxes in (("active", bounds[result.state == results.ACTIVE]), ("regions", result.regions + result.origin)):
+    for kind, boxes in (
+        ("active", bounds[result.state == results.ACTIVE]),
+        ("regions", result.regions + result.origin),
+    ):
         seen = is_colour(picture, kind)
         assert seen.sum() > 1000
         assert not (seen & ~outline(boxes)).any(), kind
     # Regions are drawn after the active ones: of these all is seen that no region covers
     alone = outline(bounds[result.state == results.ACTIVE][:40]) & ~outline(result.regions + result.origin)
-    assert (is_colour(picture, "active") & alone).sum() > 0.25 * alone.sum()  # an edge takes one or two of the three pixels
+    # an edge takes one or two of the three pixels
+    assert (is_colour(picture, "active") & alone).sum() > 0.25 * alone.sum()
 
 
 def test_what_is_where(city):
     """Compared with what was looked at and stored: the street that the mirror shows is active, all else is regions."""
     _, picture = city
     rows, columns = 18, 32
-    colours = {kind: is_colour(picture, kind)[:270, :480].reshape(rows, 15, columns, 15).sum(axis=(1, 3)) for kind in ("active", "regions")}
+    colours = {
+        kind: is_colour(picture, kind)[:270, :480].reshape(rows, 15, columns, 15).sum(axis=(1, 3))
+        for kind in ("active", "regions")
+    }
     most = np.where(colours["active"] > colours["regions"], "a", "r")
     most[(colours["active"] + colours["regions"]) < 3] = "."
     found = ["".join(row) for row in most]
     expected = EXPECTED.split()
     pairs = [(a, b) for x, y in zip(found, expected, strict=True) for a, b in zip(x, y, strict=True)]
-    both, either = (sum(test(a == "a", b == "a") for a, b in pairs) for test in (lambda a, b: a and b, lambda a, b: a or b))
+    both, either = (
+        sum(test(a == "a", b == "a") for a, b in pairs) for test in (lambda a, b: a and b, lambda a, b: a or b)
+    )
     assert sum(a == b for a, b in pairs) >= 0.85 * rows * columns, "\n".join(found)
     assert both >= 0.6 * either, "\n".join(found)

@@ -51,7 +51,10 @@ def test_what_is_applied_is_said_in_every_scene(analyzed, tmp_path):
     assert line.startswith("Hidden from renders: 4 instances, for frame 1 of scene Scene.")
     assert alert
     analyzed.frame_set(7)
-    assert said(analyzed) == ("Hidden from renders: 4 instances, for frame 1. What frame 7 shows may be missing: Restore, or Bake Shot", True)
+    assert said(analyzed) == (
+        "Hidden from renders: 4 instances, for frame 1. What frame 7 shows may be missing: Restore, or Bake Shot",
+        True,
+    )
     scene = reopen(tmp_path / "file.blend")
     assert said(scene)[1]
     scene.frame_set(1)
@@ -92,7 +95,9 @@ def test_applied_for_one_frame_and_rendered_at_others(analyzed, rendered, hidden
     analyzed.lipac.use_for_renders = True
     second = results.at(analyzed)
     state = second.state.copy()
-    state[np.isin(second.keys.records["object"], [second.keys.names.index(n) for n in ("box4", "box5", "box6")])] = results.ACTIVE
+    state[np.isin(second.keys.records["object"], [second.keys.names.index(n) for n in ("box4", "box5", "box6")])] = (
+        results.ACTIVE
+    )
     bpy.ops.lipac.apply()
     results.put(analyzed, {1: second, 3: results.replace(second, frame=3, state=state)})
     assert rendered(1) == FAR
@@ -111,7 +116,12 @@ def test_a_shot_comes_back_within_a_render(scene, hidden, tmp_path):
     bpy.ops.lipac.bake_shot()
     scene.lipac.use_for_renders = True
     results.put(scene, {})
-    scene.frame_start, scene.frame_end, scene.render.filepath, scene.render.engine = 1, 4, str(tmp_path / "a"), "BLENDER_WORKBENCH"
+    scene.frame_start, scene.frame_end, scene.render.filepath, scene.render.engine = (
+        1,
+        4,
+        str(tmp_path / "a"),
+        "BLENDER_WORKBENCH",
+    )
     found = {}
 
     def note(scene, *_):
@@ -219,7 +229,9 @@ def test_pins_on_overrides_are_saved(scene, boxes_file, tmp_path):
         to.objects = ["box4", "box5"]
     for ob in to.objects:
         scene.collection.objects.link(ob)  # Blender 5.3 overrides only what the file uses
-    for ob, role in zip([ob.override_create(remap_local_usages=True) for ob in to.objects], (props.PIN, props.IGNORE), strict=True):
+    for ob, role in zip(
+        [ob.override_create(remap_local_usages=True) for ob in to.objects], (props.PIN, props.IGNORE), strict=True
+    ):
         ob.lipac_role = role
     names = [ob.name for ob in scene.objects if ob.override_library]
     reopen(tmp_path / "file.blend")
@@ -233,11 +245,20 @@ def test_what_is_pinned_is_never_culled(scene):
 
     result = results.at(scene)
     n = len(result.state)
-    extraction = SimpleNamespace(scene=SimpleNamespace(instances=SimpleNamespace(bounds=result.bounds), approximated=(), origin=result.origin))
+    extraction = SimpleNamespace(
+        scene=SimpleNamespace(instances=SimpleNamespace(bounds=result.bounds), approximated=(), origin=result.origin)
+    )
     extraction.keys, extraction.scatters, extraction.warnings = result.keys, {}, ()
     pinned = result.of_objects({bpy.data.objects["box5"]})
     stats = result.stats | {"active": 0, "culled": n}
-    found = SimpleNamespace(state=np.zeros(n, np.uint8), score=result.score, hits=result.hits, boxes=result.regions, stats=stats, warnings=("it is tight",))
+    found = SimpleNamespace(
+        state=np.zeros(n, np.uint8),
+        score=result.score,
+        hits=result.hits,
+        boxes=result.regions,
+        stats=stats,
+        warnings=("it is tight",),
+    )
     seen = results.FrameResult.of(1, extraction, result.uids, found, pinned)
     assert (seen.state[pinned] == results.ACTIVE).all()
     assert (seen.stats["active"], seen.stats["culled"]) == (1, n - 1)

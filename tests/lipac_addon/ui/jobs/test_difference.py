@@ -65,7 +65,9 @@ def test_cancelled(analyzed):
 
 def test_the_image_outlives_the_undo_of_a_later_edit(analyzed, monkeypatch):
     def work(measuring):
-        measuring.difference = difference_of([np.ones((9, 16, 4), np.float32)] * 2, [{"seconds": 1.0, "peak_bytes": 1e9}] * 2)
+        measuring.difference = difference_of(
+            [np.ones((9, 16, 4), np.float32)] * 2, [{"seconds": 1.0, "peak_bytes": 1e9}] * 2
+        )
         difference._show([np.ones((9, 16, 4), np.float32)] * 2)
         yield
 

@@ -1,4 +1,5 @@
-"""The job beside Blender: stepped on the main thread, meshes loaded there and nowhere else, cancelled, failing, with the file changing under it."""
+"""The job beside Blender: stepped on the main thread, meshes loaded there and nowhere else, cancelled, failing, with
+the file changing under it."""
 
 import threading
 import time

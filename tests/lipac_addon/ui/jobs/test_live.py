@@ -113,7 +113,12 @@ def test_pins_and_options(watched):
 def test_what_renders_hide_is_not_there(watched):
     hidden = bpy.data.collections.new("hidden")
     watched.collection.children.link(hidden)
-    edit(lambda: (hidden.objects.link(bpy.data.objects["box1"]), watched.collection.objects.unlink(bpy.data.objects["box1"])))
+    edit(
+        lambda: (
+            hidden.objects.link(bpy.data.objects["box1"]),
+            watched.collection.objects.unlink(bpy.data.objects["box1"]),
+        )
+    )
     hidden.hide_render = bpy.data.objects["box0"].hide_render = True
     edit(lambda: bpy.data.objects["box2"].hide_set(True))
     settle()
@@ -141,7 +146,8 @@ def test_undo_in_the_midst_of_a_round(watched):
     watched.lipac.policy, watched.lipac.width = "light-paths", 240
     for n in range(12):
         bpy.ops.ed.undo_push(message="start")
-        edit(lambda: bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, location=(0, 0, 2)))  # has to be read and built
+        # has to be read and built
+        edit(lambda: bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, location=(0, 0, 2)))
         bpy.ops.ed.undo_push(message="added")
         for _ in range(n):
             live.tick()

@@ -22,7 +22,11 @@ def preferred(scene):
 
 def test_defaults_without_an_enabled_add_on(scene):
     assert preferences.get() is preferences.DEFAULTS
-    own = {p.identifier: p.default for p in preferences.LipacPreferences.bl_rna.properties if hasattr(preferences.DEFAULTS, p.identifier)}
+    own = {
+        p.identifier: p.default
+        for p in preferences.LipacPreferences.bl_rna.properties
+        if hasattr(preferences.DEFAULTS, p.identifier)
+    }
     assert own == vars(preferences.DEFAULTS)
 
 
@@ -104,5 +108,11 @@ print("DONE")
 
 def test_the_cache_folder_and_clearing_it(tmp_path):
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("LIPAC", "NUMBA"))}
-    done = subprocess.run([sys.executable, "-c", CACHE, str(tmp_path / "own")], env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", CACHE, str(tmp_path / "own")],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert "DONE" in done.stdout, done.stdout + done.stderr

@@ -1,8 +1,9 @@
-"""Restore is exact: random sequences of a user's edits, with our operators in between, end as the same edits without them.
+"""Restore is exact: random sequences of a user's edits, with our operators in between, end as the same edits without
+them.
 
-Each sequence is worked through twice on the same scene: once with everything, ending with Restore, where each edit notes what it did; then the notes alone.
-Every property, modifier, data-block, keyframe and node link must be the same. One thing nobody can tell is left out: that a user hides again what was hidden
-already.
+Each sequence is worked through twice on the same scene: once with everything, ending with Restore, where each edit
+notes what it did; then the notes alone. Every property, modifier, data-block, keyframe and node link must be the same.
+One thing nobody can tell is left out: that a user hides again what was hidden already.
 """
 
 import tempfile
@@ -20,7 +21,8 @@ RENDERS = 0.03  # of our steps
 
 
 def build() -> None:
-    """Near and far objects, collections, a scatter, an instanced collection, particles, keyframes; what is far is culled by distance."""
+    """Near and far objects, collections, a scatter, an instanced collection, particles, keyframes; what is far is
+    culled by distance."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
@@ -42,7 +44,12 @@ def build() -> None:
     emitter = link(points("emitter", 8, faces=True), at=(0, 800, 0))
     emitter.modifiers.new("particles", "PARTICLE_SYSTEM")
     settings = emitter.particle_systems[0].settings
-    settings.type, settings.count, settings.render_type, settings.instance_object = "HAIR", 3, "OBJECT", bpy.data.objects["near1"]
+    settings.type, settings.count, settings.render_type, settings.instance_object = (
+        "HAIR",
+        3,
+        "OBJECT",
+        bpy.data.objects["near1"],
+    )
     bpy.data.objects["far1"].keyframe_insert("location", frame=1)
     scene.frame_end = 2
     scene.lipac.policy, scene.lipac.distance = "distance", 100.0
@@ -54,7 +61,11 @@ def build() -> None:
 
 def mine(rng: np.random.Generator, kind: str = "", with_modifiers: bool = False) -> str | None:
     """The name of one of the user's objects."""
-    names = sorted(ob.name for ob in bpy.data.objects if ob.users_collection and (not kind or ob.type == kind) and (ob.modifiers or not with_modifiers))
+    names = sorted(
+        ob.name
+        for ob in bpy.data.objects
+        if ob.users_collection and (not kind or ob.type == kind) and (ob.modifiers or not with_modifiers)
+    )
     return None if not names else names[rng.integers(len(names))]
 
 
@@ -113,7 +124,8 @@ def copy_object(rng):
 
 def remove_object(rng):
     name = mine(rng, "MESH")
-    return None if name in {"near0", "near1"} else lambda: bpy.data.objects.remove(ob(name))  # what instances them crashes Blender 5.0
+    # what instances them crashes Blender 5.0
+    return None if name in {"near0", "near1"} else lambda: bpy.data.objects.remove(ob(name))
 
 
 def new_modifier(rng):
@@ -190,7 +202,18 @@ def save_and_open(rng):
 
 
 EDITS = (
-    *(move, rename, show_or_hide, show_or_hide_collection, new_object, copy_object, remove_object, new_modifier, remove_modifier, set_modifier),
+    *(
+        move,
+        rename,
+        show_or_hide,
+        show_or_hide_collection,
+        new_object,
+        copy_object,
+        remove_object,
+        new_modifier,
+        remove_modifier,
+        set_modifier,
+    ),
     *(activate_modifier, key_location, key_visibility, new_collection, mark, custom_property, save_and_open),
 )
 
@@ -234,7 +257,9 @@ def snapshot() -> dict:
     for item in bpy.data.objects:
         values = found["objects", item.name_full]
         values["modifiers"] = [m.name for m in item.modifiers]
-        values |= {("modifier", m.name): {k: v for k, v in plain(m).items() if k != "persistent_uid"} for m in item.modifiers}
+        values |= {
+            ("modifier", m.name): {k: v for k, v in plain(m).items() if k != "persistent_uid"} for m in item.modifiers
+        }
         values["active modifier"] = item.modifiers.active.name if item.modifiers.active else None
         values["in"] = sorted(c.name for c in item.users_collection)
         values["role"] = item.lipac_role
@@ -242,8 +267,12 @@ def snapshot() -> dict:
     for c in (*bpy.data.collections, bpy.context.scene.collection):
         found["members", c.name] = [o.name for o in c.objects], [x.name for x in c.children]
     for action in bpy.data.actions:
-        curves = [c for layer in action.layers for strip in layer.strips for bag in strip.channelbags for c in bag.fcurves]
-        found["actions", action.name]["keys"] = [(c.data_path, c.array_index, [tuple(p.co) for p in c.keyframe_points]) for c in curves]
+        curves = [
+            c for layer in action.layers for strip in layer.strips for bag in strip.channelbags for c in bag.fcurves
+        ]
+        found["actions", action.name]["keys"] = [
+            (c.data_path, c.array_index, [tuple(p.co) for p in c.keyframe_points]) for c in curves
+        ]
     for tree in bpy.data.node_groups:
         found["node_groups", tree.name]["nodes"] = [plain(n) for n in tree.nodes], len(tree.links)
     return found

@@ -6,8 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from lipac.scripts.options import cull_options, scene_parser
-from lipac.scripts.studies.hybrid.report import CULLED, RASTER, ROUGH, STAGES, TRUTH, WHOLE, cost_table, mixtures, sections
+from lipac.scripts.command.options import cull_options, scene_parser
+from lipac.scripts.studies.hybrid.report import (
+    CULLED,
+    RASTER,
+    ROUGH,
+    STAGES,
+    TRUTH,
+    WHOLE,
+    cost_table,
+    mixtures,
+    sections,
+)
 from lipac.scripts.studies.hybrid.results import PATHS, main, render, seconds, write
 
 DOCS = Path(__file__).parents[4] / "docs"
@@ -40,12 +50,18 @@ def test_cost_table():
     assert cells[3] == "75%"
 
 
-@pytest.mark.parametrize(("frame", "wanted"), [({"render_s": 2.0}, 2.0), ({"render_s": 9.0, "timeline": [{"end_s": 1.0}, {"end_s": 3.0}]}, 3.0)])
+@pytest.mark.parametrize(
+    ("frame", "wanted"),
+    [({"render_s": 2.0}, 2.0), ({"render_s": 9.0, "timeline": [{"end_s": 1.0}, {"end_s": 3.0}]}, 3.0)],
+)
 def test_seconds(frame, wanted):
     assert seconds(frame) == wanted
 
 
-@pytest.mark.parametrize(("engine", "said", "worst"), [("hybrid", "0.02", 0.02), ("hybrid", "0.02,0.1", 0.1), ("cycles", "0.02", 0.1), ("hybrid", None, 0.01)])
+@pytest.mark.parametrize(
+    ("engine", "said", "worst"),
+    [("hybrid", "0.02", 0.02), ("hybrid", "0.02,0.1", 0.1), ("cycles", "0.02", 0.1), ("hybrid", None, 0.01)],
+)
 def test_budget_bounds_every_tile(engine, said, worst):
     """In hybrid pictures E bounds the worst tile too, unless T is said."""
     args = scene_parser("render", "").parse_args(["a.blend", "-o", "out", *(["--max-error", said] if said else [])])
@@ -83,9 +99,13 @@ def test_one_scene_anew(measured):
 
 
 def test_rows_of_one_page_have_the_same_settings(measured, tmp_path, capsys):
-    """Another resolution for one scene of many is refused in one line, as is a scene that there is not; nothing is rendered or written."""
+    """Another resolution for one scene of many is refused in one line, as is a scene that there is not; nothing is
+    rendered or written."""
     before = (measured / "hybrid.json").read_text()
-    for words, said in ((["indoor", "--resolution", "64x36"], "--resolution 320x180"), (["nowhere"], "no such scene: nowhere")):
+    for words, said in (
+        (["indoor", "--resolution", "64x36"], "--resolution 320x180"),
+        (["nowhere"], "no such scene: nowhere"),
+    ):
         assert main([*words, "-o", str(measured), "--work", str(tmp_path / "work")]) == 2
         line = capsys.readouterr().err.strip()
         assert said in line and "\n" not in line
@@ -93,7 +113,8 @@ def test_rows_of_one_page_have_the_same_settings(measured, tmp_path, capsys):
 
 
 def test_renders_are_of_their_scene(tmp_path, monkeypatch):
-    """What was rendered of a file is not rendered again; that of another file of the same name, or with other samples of the raster, is."""
+    """What was rendered of a file is not rendered again; that of another file of the same name, or with other samples
+    of the raster, is."""
     from argparse import Namespace
 
     from lipac.scripts.studies.hybrid import results
@@ -123,5 +144,7 @@ def test_renders_are_of_their_scene(tmp_path, monkeypatch):
 
 
 def test_mixtures_are_named():
-    said = "\n".join(mixtures({"city": {"path_share": {ROUGH: 0.25}}, "hall": {"path_share": {}}, "old": {"raster_only": [ROUGH]}}))
+    said = "\n".join(
+        mixtures({"city": {"path_share": {ROUGH: 0.25}}, "hall": {"path_share": {}}, "old": {"raster_only": [ROUGH]}})
+    )
     assert f"city ({ROUGH}: 25%)" in said and f"old ({ROUGH})" in said and "hall" not in said

@@ -1,4 +1,5 @@
-"""Standard streams without a reader, full or closed, a home that cannot be written, and Ctrl-C that is to be ignored: the work is done all the same."""
+"""Standard streams without a reader, full or closed, a home that cannot be written, and Ctrl-C that is to be ignored:
+the work is done all the same."""
 
 from __future__ import annotations
 
@@ -12,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from ..lipac_addon.conftest import ground_and_boxes
-from ..processes import INTERRUPTIBLE, saved
+from ...lipac_addon.conftest import ground_and_boxes
+from ...processes import INTERRUPTIBLE, saved
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="POSIX streams and signals")
 FRUSTUM = ["--cull", "frustum", "--resolution", "32x18", "--samples", "1"]
@@ -50,13 +51,22 @@ def test_lost_streams_end_no_job(blend: Path, tmp_path: Path, how: str) -> None:
 def test_a_machine_without_a_writable_home(blend: Path, tmp_path: Path, home: str) -> None:
     """Kernels of the analysis are compiled for the one process: here none is needed but those of the extraction."""
     (tmp_path / "file").write_text("")
-    environment = {name: value for name, value in os.environ.items() if name not in ("LIPAC_CACHE_DIR", "XDG_CACHE_HOME", "HOME", "NUMBA_CACHE_DIR")}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("LIPAC_CACHE_DIR", "XDG_CACHE_HOME", "HOME", "NUMBA_CACHE_DIR")
+    }
     environment |= {"TMPDIR": str(tmp_path)}
     if home == "file":
         environment["HOME"] = str(tmp_path / "file")
     else:
         environment["XDG_CACHE_HOME"] = str(tmp_path / "file" / "below")
-    process = start(["render", blend, "-o", tmp_path / "out", *FRUSTUM, "--quiet"], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = start(
+        ["render", blend, "-o", tmp_path / "out", *FRUSTUM, "--quiet"],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
     _, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (0, "")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "out"]  # the temporary folder is gone
@@ -65,7 +75,12 @@ def test_a_machine_without_a_writable_home(blend: Path, tmp_path: Path, home: st
 def test_ctrl_c_that_is_ignored_stays_ignored(blend: Path, tmp_path: Path) -> None:
     """As a shell starts what runs in the background."""
     arguments = ["render", blend, "-o", tmp_path, "--frames", "1-3", *FRUSTUM, "--quiet"]
-    process = start(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+    process = start(
+        arguments,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )
     end = time.monotonic() + 120
     while process.poll() is None and time.monotonic() < end:
         process.send_signal(signal.SIGINT)
@@ -85,9 +100,12 @@ sys.exit(main(sys.argv[1:]))
 
 
 def test_ctrl_c_ends_a_demo(tmp_path: Path) -> None:
-    """Between building and saving, where an exception in the midst of Blender's work would be lost: nothing is written."""
+    """Between building and saving, where an exception in the midst of Blender's work would be lost: nothing is
+    written."""
     arguments = ["demo", "mirror-city", "-o", str(tmp_path / "city.blend"), "--instances", "1000"]
-    done = subprocess.run([sys.executable, "-c", IN_THE_MIDST, *arguments], capture_output=True, text=True, check=False, **INTERRUPTIBLE)
+    done = subprocess.run(
+        [sys.executable, "-c", IN_THE_MIDST, *arguments], capture_output=True, text=True, check=False, **INTERRUPTIBLE
+    )
     assert done.returncode == 130
     assert done.stderr.endswith("stopped; finished frames and their report are kept\n")
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,5 @@
-"""Benchmark parts of animated scenes: what culling saves over frames, how soon what appears is there, growth, rest, and memory."""
+"""Benchmark parts of animated scenes: what culling saves over frames, how soon what appears is there, growth, rest, and
+memory."""
 
 from __future__ import annotations
 
@@ -11,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.culling.options import CullOptions
-from ...core.culling.shot import Shot
-from ...core.error_budget.budget import Budget
-from ...core.evaluation.judge import TWO_SIDED_95, Judge
-from ...core.scene.change import Change
-from ...core.scene.model import Scene
-from ..evaluate import SUPPLIED
-from . import compare
+from ....core.culling.options import CullOptions
+from ....core.culling.shot import Shot
+from ....core.error_budget.budget import Budget
+from ....core.evaluation.judge import TWO_SIDED_95, Judge
+from ....core.scene.change import Change
+from ....core.scene.model import Scene
+from ...evaluate import SUPPLIED
+from .. import compare
 from .footage import Footage, demo
 
 Mask = NDArray[np.bool_]
@@ -48,7 +49,8 @@ def character(_folder: Path) -> dict[str, Any]:
 
 
 def _crowd(figure: Path | None) -> dict[str, Any]:
-    """Bytes and seconds of BLASes per frame, culled within the default budget and whole, and the error of some frames."""
+    """Bytes and seconds of BLASes per frame, culled within the default budget and whole, and the error of some
+    frames."""
     demo("crowd", FIGURES, figure)
     shots = {"culled": Shot(CullOptions()), "whole": Shot(CullOptions(policy="none"))}
     rows, errors = [], []
@@ -58,7 +60,9 @@ def _crowd(figure: Path | None) -> dict[str, Any]:
         for name, one in shots.items():
             result = one.advance(scene, change)
             names = ("active", "hitboxes", "blas_bytes", "blas_held_bytes", "blas_built", "blas_refitted")
-            row[name] = {key: result.stats[key] for key in names} | {"blas_s": result.stats["blas_s"] + result.stats["refit_s"]}
+            row[name] = {key: result.stats[key] for key in names} | {
+                "blas_s": result.stats["blas_s"] + result.stats["refit_s"]
+            }
             kept[name] = result.active
         if number in JUDGED:
             judge = Judge(scene, JUDGE_SAMPLES)
@@ -71,14 +75,22 @@ def _crowd(figure: Path | None) -> dict[str, Any]:
     loop = shots["whole"].loop
     assert loop is not None
     triangles = int(loop.blas.table["triangle_count"].sum())
-    return {"size": CROWD_SIZE, "figures": FIGURES, "triangles": triangles, "samples": JUDGE_SAMPLES, "frames": rows, "errors": errors}
+    return {
+        "size": CROWD_SIZE,
+        "figures": FIGURES,
+        "triangles": triangles,
+        "samples": JUDGE_SAMPLES,
+        "frames": rows,
+        "errors": errors,
+    }
 
 
 # Growth: the same picture in ever larger cities
 
 
 def growth(_folder: Path) -> dict[str, Any]:
-    """Cities of SIZES before a camera that moves sideways: seconds of settled frames by step, without Blender's evaluation, and what a cold start builds.
+    """Cities of SIZES before a camera that moves sideways: seconds of settled frames by step, without Blender's
+    evaluation, and what a cold start builds.
 
     The cities' frames take turns, so that what else the machine does meets all of them.
     """
@@ -86,11 +98,15 @@ def growth(_folder: Path) -> dict[str, Any]:
     for k in range(len(GROWTH_FRAMES)):
         for city in cities:
             city.advance(k)
-    return {"size": GROWTH_SIZE, "cities": [{"instances": len(c.scenes[0].instances), "cold": c.cold, "frames": c.rows} for c in cities]}
+    return {
+        "size": GROWTH_SIZE,
+        "cities": [{"instances": len(c.scenes[0].instances), "cold": c.cold, "frames": c.rows} for c in cities],
+    }
 
 
 class City:
-    """A city's frames, and the loops through them: culled within the default budget, and whole. rows: the figures of each frame; cold: of the cold start."""
+    """A city's frames, and the loops through them: culled within the default budget, and whole. rows: the figures of
+    each frame; cold: of the cold start."""
 
     def __init__(self, count: int) -> None:
         print(f"  {count:,} instances", flush=True)
@@ -104,7 +120,8 @@ class City:
         self.changes: list[Change | None] = []
         self.rows: list[dict[str, Any]] = []
         for number, scene, change in footage.frames(GROWTH_FRAMES):
-            meshes = self.scenes[0].meshes if self.scenes else [scene.meshes[k] for k in range(len(scene.meshes))]  # none changes; the file is closed soon
+            # none changes; the file is closed soon
+            meshes = self.scenes[0].meshes if self.scenes else [scene.meshes[k] for k in range(len(scene.meshes))]
             self.scenes.append(replace(scene, meshes=meshes))
             self.changes.append(change)
             self.rows.append({"frame": number, "read_s": footage.own_s})
@@ -116,13 +133,21 @@ class City:
         for name, one in self.shots.items():
             start = time.perf_counter()
             result = one.advance(self.scenes[k], self.changes[k])
-            row = {key: result.stats[key] for key in ("build_s", "trace_s", "feedback_s", "active", "hitboxes", "iterations")}
+            row = {
+                key: result.stats[key]
+                for key in ("build_s", "trace_s", "feedback_s", "active", "hitboxes", "iterations")
+            }
             self.rows[k][name] = row | {"advance_s": time.perf_counter() - start}
             if name == "culled" and k == 0:
                 loop = one.loop
                 assert loop is not None and loop.activation.known is not None
                 asked, met = np.flatnonzero(loop.activation.known), result.hits.sum(axis=1)
-                self.cold = {"asked": len(asked), "met": int((met[asked] > 0).sum()), "active": row["active"], "rounds": row["iterations"]}
+                self.cold = {
+                    "asked": len(asked),
+                    "met": int((met[asked] > 0).sum()),
+                    "active": row["active"],
+                    "rounds": row["iterations"],
+                }
                 self.cold |= {"meshes": len(loop.blas)}
 
 
@@ -130,11 +155,19 @@ class City:
 
 
 def rest(_folder: Path) -> dict[str, Any]:
-    """A million instances, and 200 frames in which nothing changes though each says that the camera did: what changes in the states."""
+    """A million instances, and 200 frames in which nothing changes though each says that the camera did: what changes
+    in the states."""
     demo("mirror-city", SIZES[-1])
     _, scene, _ = next(Footage(REST_SIZE).frames(range(1, 2)))
     one = Shot(LOOSE)
-    out: dict[str, Any] = {"instances": len(scene.instances), "active": [], "hitboxes": [], "changes": [], "built": [], "rounds": []}
+    out: dict[str, Any] = {
+        "instances": len(scene.instances),
+        "active": [],
+        "hitboxes": [],
+        "changes": [],
+        "built": [],
+        "rounds": [],
+    }
     before: Mask | None = None
     for k in range(REST_FRAMES + 1):
         result = one.advance(scene, CAMERA_ONLY if k else None)
@@ -149,15 +182,19 @@ def rest(_folder: Path) -> dict[str, Any]:
 
 
 def memory(folder: Path) -> dict[str, Any]:
-    """500 frames there and back of the crowd and of the flythrough by the steps of `lipac analyze --warm`: memory of the process after each."""
-    return {name: _memory(folder, name, count, last) for name, count, last in (("crowd", 100, 48), ("flythrough", 2_000, 120))}
+    """500 frames there and back of the crowd and of the flythrough by the steps of `lipac analyze --warm`: memory of
+    the process after each."""
+    return {
+        name: _memory(folder, name, count, last)
+        for name, count, last in (("crowd", 100, 48), ("flythrough", 2_000, 120))
+    }
 
 
 def _memory(folder: Path, name: str, count: int, last: int) -> dict[str, Any]:
-    from ...core.files.report import Report
-    from ...lipac_addon.batch.frame import run_frame
-    from ...lipac_addon.batch.job import Job
-    from ...lipac_addon.batch.session import Session
+    from ....core.files.report import Report
+    from ....lipac_addon.batch.frame import run_frame
+    from ....lipac_addon.batch.job import Job
+    from ....lipac_addon.batch.session import Session
 
     demo(name, count)
     Footage((96, 54))
@@ -184,10 +221,11 @@ def _resident() -> int:
 
 
 def pictures(folder: Path) -> dict[str, Any]:
-    """A picture of either demo as culled, by Cycles, and its TLAS from above: folder/crowd.png, folder/flythrough.png."""
+    """A picture of either demo as culled, by Cycles, and its TLAS from above: folder/crowd.png,
+    folder/flythrough.png."""
     from matplotlib.image import imsave
 
-    from ...core.files.atomic import replacing
+    from ....core.files.atomic import replacing
 
     for name, count, frame in (("crowd", FIGURES, 24), ("flythrough", 20_000, 84)):
         scene, out = folder / f"{name}.blend", folder / f"picture-{name}"

@@ -20,12 +20,18 @@ class Child:
     """A process that does one seed after the other. Raises RuntimeError where it does not start."""
 
     def __init__(self, command: Sequence[str], given: dict[str, Any], threads: int, limit: float) -> None:
-        """command: what calls `serve`; given: its last argument, as JSON; threads: of numerical libraries; limit: seconds for a seed."""
+        """command: what calls `serve`; given: its last argument, as JSON; threads: of numerical libraries; limit:
+        seconds for a seed."""
         self.limit, self.done = limit, 0
-        limited = {name: str(threads) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+        limited = {
+            name: str(threads)
+            for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+        }
         self._log: list[str] = []
         pipe, environment = subprocess.PIPE, os.environ | limited
-        self.process = subprocess.Popen([*command, json.dumps(given)], stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment)
+        self.process = subprocess.Popen(
+            [*command, json.dumps(given)], stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment
+        )
         threading.Thread(target=self._read_errors, daemon=True).start()
         if (answer := self._answer(START_LIMIT)) is None or answer.get("ready") is not True:
             self.end()
@@ -45,7 +51,10 @@ class Child:
         hung = self.process.poll() is None
         self.end()
         words = self._last_words()
-        return {"seed": seed, "failed": f"over {self.limit:g} s" if hung else f"crashed with status {self.process.returncode}: {words}"}
+        return {
+            "seed": seed,
+            "failed": f"over {self.limit:g} s" if hung else f"crashed with status {self.process.returncode}: {words}",
+        }
 
     @property
     def alive(self) -> bool:
@@ -89,7 +98,8 @@ class Child:
 
 
 def serve(prepare: Callable[[], Callable[[int], dict[str, Any]]]) -> None:
-    """What a child process does: a seed from each line of stdin, its record to stdout. prepare: imports what it needs, and returns what does a seed."""
+    """What a child process does: a seed from each line of stdin, its record to stdout. prepare: imports what it needs,
+    and returns what does a seed."""
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what Blender prints is not for whoever listens
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import TextIO
+
+from ...core.progress import Progress, Terminal, silent
 
 
 def repair() -> None:
-    """Stand in for standard streams that are closed: else the next file that is opened would get what is meant for them."""
+    """Stand in for standard streams that are closed: else the next file that is opened would get what is meant for
+    them."""
     for number, flags in ((0, os.O_RDONLY), (1, os.O_WRONLY), (2, os.O_WRONLY)):
         try:
             os.fstat(number)
@@ -47,3 +51,18 @@ def _drop(stream: TextIO) -> None:
         os.dup2(handle, stream.fileno())
         os.close(handle)
         stream.flush()
+
+
+@contextmanager
+def progress_of(quiet: bool) -> Iterator[Progress]:
+    """Progress on stderr: on a copy of it, which stays ours while Blender's chatter is muted."""
+    if quiet:
+        yield silent
+        return
+    stream = os.fdopen(os.dup(2), "w")
+    try:
+        with Terminal(stream) as terminal:
+            yield terminal
+    finally:
+        with suppress(OSError):  # what nobody reads any more
+            stream.close()

@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..lipac_addon.batch.engines.choices import DeviceChoice
+    from ...lipac_addon.batch.engines.choices import DeviceChoice
 
 LAST_FRAME = 1048574  # Blender's own limit
 
@@ -25,7 +25,9 @@ def resolution(text: str) -> tuple[int, int]:
     """Width and height of 'WxH'. Raises ArgumentTypeError."""
     found = re.fullmatch(r"(\d+)x(\d+)", text.strip().lower())
     if not found or not all(4 <= int(n) <= 65536 for n in found.groups()):
-        raise argparse.ArgumentTypeError(f"'{text}' is no resolution: give WxH in pixels, 4 to 65536 each, for example 1920x1080")
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no resolution: give WxH in pixels, 4 to 65536 each, for example 1920x1080"
+        )
     return int(found[1]), int(found[2])
 
 
@@ -76,18 +78,23 @@ def crop_count(text: str) -> int:
 
 def device(text: str) -> DeviceChoice:
     """Where Cycles renders, of 'KIND' or 'KIND:CARD,CARD'. Raises ArgumentTypeError."""
-    from ..lipac_addon.batch.engines.choices import DEVICES, DeviceChoice
+    from ...lipac_addon.batch.engines.choices import DEVICES, DeviceChoice
 
     try:
         return DeviceChoice.parse(text)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"'{text}' is no device: give one of {', '.join(DEVICES)}, or cards of a kind, for example optix:0,1") from error
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no device: give one of {', '.join(DEVICES)}, or cards of a kind, for example optix:0,1"
+        ) from error
 
 
 def byte_count(text: str) -> int:
-    """Bytes of '2G', '500M', '64k' or '1000000': powers of 1000, or of 1024 with an i, as in '2Gi'. Raises ArgumentTypeError."""
+    """Bytes of '2G', '500M', '64k' or '1000000': powers of 1000, or of 1024 with an i, as in '2Gi'. Raises
+    ArgumentTypeError."""
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?", text.strip().lower())
     size = float(found[1]) * (1024 if found[3] else 1000) ** " kmgt".index(found[2] or " ") if found else 0.0
     if not found or (found[3] and not found[2]) or not 1 <= size < 2**63:
-        raise argparse.ArgumentTypeError(f"'{text}' is no size: give a number of bytes, or one with k, M or G, for example 500M or 2G")
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no size: give a number of bytes, or one with k, M or G, for example 500M or 2G"
+        )
     return int(size)

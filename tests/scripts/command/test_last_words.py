@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from lipac.scripts.last_words import last_words
+from lipac.scripts.command.last_words import last_words
 
-from ..hard.inside_blender import stage
-from ..processes import INTERRUPTIBLE, saved
+from ...hard.inside_blender import stage
+from ...processes import INTERRUPTIBLE, saved
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 SEGFAULT, ABORT = "import ctypes; ctypes.string_at(0)", "import os; os.abort()"
@@ -22,10 +22,13 @@ THREAD = "import threading, ctypes; t = threading.Thread(target=ctypes.string_at
 
 
 def process(code: str, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=300, check=False, **options)
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=300, check=False, **options
+    )
 
 
-# The tests' own: Numba imports it where it is installed, and its OpenBLAS asks for memory for ever where there is none (Python 3.11).
+# The tests' own: Numba imports it where it is installed, and its OpenBLAS asks for memory for ever where there is none
+# (Python 3.11).
 WITHOUT_SCIPY = "import sys; sys.modules['scipy'] = None"
 EXIT = "import ctypes; ctypes.CDLL(None).exit(1)"  # as OpenBLAS does where it gets no memory
 
@@ -34,7 +37,7 @@ EXIT = "import ctypes; ctypes.CDLL(None).exit(1)"  # as OpenBLAS does where it g
 def test_a_crash_is_a_line_and_a_status(crash: str) -> None:
     """Also where Blender's chatter is muted, and the innermost block's."""
     code = f"""
-from lipac.scripts.last_words import last_words
+from lipac.scripts.command.last_words import last_words
 from lipac.lipac_addon.console import muted
 with last_words("outer", 1):
     with last_words("of the file, ä", 2), muted():
@@ -47,7 +50,7 @@ with last_words("outer", 1):
 
 def test_after_a_block_it_is_as_before() -> None:
     code = f"""
-from lipac.scripts.last_words import last_words
+from lipac.scripts.command.last_words import last_words
 with last_words("outer", 3):
     with last_words("inner", 2):
         pass
@@ -81,18 +84,26 @@ def test_a_reader_that_crashes(cull: str, stage_file: Path, tmp_path: Path) -> N
     crash = "opening._check_files = lambda: __import__('ctypes').string_at(0)"
     done = process(COMMAND.format(crash), "render", str(stage_file), "-o", str(tmp_path), "--cull", cull, "--quiet")
     assert done.returncode == 2
-    assert done.stderr.startswith(f"lipac render: cannot read {stage_file}: its reader crashed") and done.stderr.count("\n") == 1
+    assert (
+        done.stderr.startswith(f"lipac render: cannot read {stage_file}: its reader crashed")
+        and done.stderr.count("\n") == 1
+    )
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="address space that can be limited")
 @pytest.mark.parametrize("space", [0.6e9, 0.9e9, 1.2e9, 1.5e9, 1.8e9])
 def test_too_little_memory(space: float, stage_file: Path, tmp_path: Path) -> None:
-    """From what loads no library to what starts rendering: one line that says memory, and status 1; where the file cannot be read for it, 2."""
+    """From what loads no library to what starts rendering: one line that says memory, and status 1; where the file
+    cannot be read for it, 2."""
     import resource
 
     options = ["render", str(stage_file), "-o", str(tmp_path), "--resolution", "32x18", "--samples", "1", "--quiet"]
     limit: dict[str, Any] = {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_AS, (int(space), int(space)))}
-    done = process(f"{WITHOUT_SCIPY}; from lipac.scripts.lipac import main; import sys; sys.exit(main(sys.argv[1:]))", *options, **limit)
+    done = process(
+        f"{WITHOUT_SCIPY}; from lipac.scripts.lipac import main; import sys; sys.exit(main(sys.argv[1:]))",
+        *options,
+        **limit,
+    )
     if done.returncode == 0:
         pytest.skip("it is enough")
     assert done.returncode in (1, 2), (done.returncode, done.stderr)

@@ -1,4 +1,5 @@
-"""What a process still says where native code crashes it: one line on stderr, and an exit status, in place of a signal's."""
+"""What a process still says where native code crashes it: one line on stderr, and an exit status, in place of a
+signal's."""
 
 from __future__ import annotations
 
@@ -16,10 +17,11 @@ _I32, _I64 = 32, 64
 
 @contextmanager
 def last_words(line: str, status: int) -> Iterator[None]:
-    """Where native code crashes within the block, the process writes a line to what is stderr now and ends with this status.
+    """Where native code crashes within the block, the process writes a line to what is stderr now and ends with this
+    status.
 
-    Blender's readers crash on some damaged files, and where memory is refused libraries crash, or end the process: no exception tells. Nothing is done on
-    Windows, nor where LLVM has no memory itself.
+    Blender's readers crash on some damaged files, and where memory is refused libraries crash, or end the process: no
+    exception tells. Nothing is done on Windows, nor where LLVM has no memory itself.
     """
     machine = _machine() if CRASHES else None
     if machine is None:
@@ -39,7 +41,8 @@ def last_words(line: str, status: int) -> Iterator[None]:
 
 
 class _Machine:
-    """A signal handler that runs no Python: the thread that crashes may hold anything. It calls write and _exit, as handlers may (POSIX.1-2017, 2.4.3)."""
+    """A signal handler that runs no Python: the thread that crashes may hold anything. It calls write and _exit, as
+    handlers may (POSIX.1-2017, 2.4.3)."""
 
     def __init__(self) -> None:
         import llvmlite.binding as llvm
@@ -62,14 +65,20 @@ class _Machine:
         builder.ret_void()
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
-        self.engine = llvm.create_mcjit_compiler(llvm.parse_assembly(str(module)), llvm.Target.from_default_triple().create_target_machine())
+        self.engine = llvm.create_mcjit_compiler(
+            llvm.parse_assembly(str(module)), llvm.Target.from_default_triple().create_target_machine()
+        )
         self.engine.finalize_object()
         self.handler = self.engine.get_function_address("lipac_last_words")
         kinds: dict[int, Any] = {_I32: ctypes.c_int32, _I64: ctypes.c_int64}
-        self.values = [kinds[kind.width].from_address(self.engine.get_global_value_address(f"lipac_{name}")) for name, kind in self.names.items()]
+        self.values = [
+            kinds[kind.width].from_address(self.engine.get_global_value_address(f"lipac_{name}"))
+            for name, kind in self.names.items()
+        ]
         self.library = ctypes.CDLL(None)
         self.library.signal.argtypes, self.library.signal.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
-        getattr(self.library, "__cxa_atexit")(ctypes.c_void_p(self.handler), None, None)  # libraries that get no memory call exit, too
+        # libraries that get no memory call exit, too
+        getattr(self.library, "__cxa_atexit")(ctypes.c_void_p(self.handler), None, None)
 
     def told(self) -> tuple[int, ...]:
         """What it would do."""

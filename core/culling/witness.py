@@ -1,0 +1,81 @@
+"""Paths that chose nothing: traced through the full scene, as far as they need it."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import F64, I64
+from ..error_budget.budget import Budget
+from ..feedback.hits import Weights
+from ..feedback.path_log import RECORD, PathLog, renumber
+from ..feedback.tiles import TILES, tiles_of
+from ..progress import Progress, silent
+from .frame_tracer import places
+
+if TYPE_CHECKING:
+    from ..accel.tlas import Tlas
+    from .loop import Loop
+
+OPENINGS = 16  # of boxes at most, each a level or two deeper
+
+
+@dataclass(frozen=True)
+class Witness:
+    """Paths that chose nothing, through the full scene as far as they need it: what each met, and the number of its
+    first sample.
+
+    light: (T,) float64 luminance of all paths of each tile. unknown: (T,) float64, that of what they carry through
+    boxes that were not opened: it may be lost, or other light in its place.
+    """
+
+    tlas: Tlas
+    log: PathLog
+    first_sample: int
+    light: F64
+    unknown: F64
+
+
+def trace_witness(
+    loop: Loop, first_sample: int, only: NDArray[np.uint8], tolerated: Budget, progress: Progress = silent
+) -> Witness:
+    """Trace those of S paths per pixel that only, (H, W, S), marks through the full scene, by random numbers that
+    chose nothing.
+
+    Boxes that paths cross are opened, and these paths traced again, until what is carried through the others is
+    tolerated; none is where builds are limited.
+    """
+    log, prepared = PathLog.zeros(*only.shape), loop.tracer.prepared
+    tile = tiles_of(*only.shape[:2]).ravel()
+    samples = np.maximum(
+        np.bincount(tile, only.sum(axis=2).ravel(), TILES) / np.maximum(np.bincount(tile, minlength=TILES), 1), 1.0
+    )
+    records = log.records.reshape(-1, RECORD)
+    before: Tlas | None = None
+    light: I64 = np.zeros(0, np.int64)
+    for k in range(OPENINGS):
+        progress(1 - 0.6**k, "paths that chose nothing")
+        tlas = loop.tracer.build(loop.activation.active)
+        if before is not None:
+            renumber(records, 1 - only.reshape(-1), places(tlas.ids, before.ids))
+        cut, boxes = loop.boxes(tlas)
+        log.clear(only)
+        weights = Weights.zeros(1, loop.ambient, first=len(tlas))
+        feedback, _ = loop.tracer.count(prepared, tlas, only.shape[2], first_sample, boxes, weights, log=log, only=only)
+        light = light if k else weights.total
+        unknown = dataclasses.replace(weights, total=light).relative(samples)[0]  # of tiles without paths 0
+        within = unknown.mean() <= tolerated.mean and unknown.max() <= tolerated.worst
+        if within or loop.limited or not loop.activation.open_crossed_boxes(cut, feedback, prepared.emissive):
+            break
+        only, before = log.affected(np.zeros(len(tlas), bool)), tlas
+    return Witness(
+        tlas,
+        log,
+        first_sample,
+        np.asarray(light * weights.unit, np.float64),
+        np.asarray(weights.light[0] * weights.unit, np.float64),
+    )

@@ -1,0 +1,205 @@
+"""Options that commands share, and what follows from them."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from ...core.culling.options import DEFAULT_BUDGET, CullOptions
+from ...core.culling.policies import LIGHT_PATHS, POLICIES, RULES
+from ...core.error_budget.budget import SPREAD, Budget
+from ...core.errors import InputError
+from .arguments import byte_count, crop_count, frame_range, number, path_count, resolution, seed_number, thread_count
+
+if TYPE_CHECKING:
+    pass
+
+MOST_LINES = 20  # of a kind that a command prints
+HARDWARE = {
+    "eevee": "EEVEE is on the graphics card that the system's graphics driver gives it",
+    "hybrid": "paths are traced on the CPU, and EEVEE is on the graphics card that the driver gives it",
+    "path": "the path tracer is on the CPU",
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """Errors are one line, through `InputError`."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; {self.prog} --help tells the options")
+
+
+def scene_parser(command: str, description: str) -> Parser:
+    """A parser with the options of `analyze`, of which `render` has more."""
+    parser = Parser(prog=f"lipac {command}", description=description)
+    parser.set_defaults(command=command)
+    parser.add_argument(
+        "scene",
+        nargs="?",
+        type=Path,
+        metavar="SCENE",
+        help=".blend, .glb, .gltf, .usd*, .obj, .ply or .stl; inside Blender: the open file",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="DIR", help="folder for pictures, states and report.json"
+    )
+    parser.add_argument(
+        "--frames", type=frame_range, metavar="A-B", help="frames to do (default: the scene's current one)"
+    )
+    parser.add_argument(
+        "--resolution", type=resolution, metavar="WxH", help="size of the picture (default: the scene's)"
+    )
+    parser.add_argument(
+        "--camera", metavar="NAME", help="camera to use; 'auto' frames the whole scene (default: the scene's)"
+    )
+    culling = parser.add_argument_group("culling")
+    listed = [name for name, policy in POLICIES.items() if policy.listed]
+    culling.add_argument("--cull", choices=listed, default=LIGHT_PATHS, help="what decides (default: %(default)s)")
+    error = (
+        "light-paths: share by which the mean of 16 x 9 tiles of the picture, and the worst of them, may change "
+        "(default: 0.01; T: five times E)"
+    )
+    culling.add_argument("--max-error", metavar="E[,T]", help=error)
+    culling.add_argument(
+        "--min-share",
+        type=number,
+        metavar="S",
+        help="light-paths: instead of an error, keep what at least this share of paths meets",
+    )
+    culling.add_argument(
+        "--paths",
+        type=path_count,
+        metavar="N",
+        help="light-paths: paths per pixel of the analysis (default: as many as the error needs)",
+    )
+    for policy in [policy for policy in RULES.values() if policy.listed]:
+        own = policy.setting
+        assert own is not None
+        culling.add_argument(
+            own.option,
+            type=number,
+            metavar=own.unit,
+            help=f"{policy.name}: {own.description[0].lower()}{own.description[1:]}",
+        )
+    shot = parser.add_argument_group("frames of a shot")
+    shot.add_argument(
+        "--bake",
+        choices=("frame", "shot"),
+        default="frame",
+        help="frame: what each frame needs; shot: in all frames what any of them needs",
+    )
+    part = "with --bake shot: the frames that the set is for, where --frames are a part of them: so a shot can be split"
+    shot.add_argument("--shot", type=frame_range, metavar="A-B", help=part)
+    shot.add_argument(
+        "--resume", action="store_true", help="leave frames alone that DIR has already, by the same options"
+    )
+    shot.add_argument(
+        "--warm",
+        action="store_true",
+        help="begin each frame with what the one before it needed, and be slow to cull (hysteresis)",
+    )
+    shot.add_argument(
+        "--no-parts",
+        action="store_true",
+        help="light-paths: keep or cull meshes as a whole; else large ones are culled by parts",
+    )
+    shot.add_argument(
+        "--no-mitigation",
+        action="store_true",
+        help="with --warm: do not activate what comes into view before light paths ask for it",
+    )
+    shot.add_argument(
+        "--blas-budget",
+        type=byte_count,
+        metavar="SIZE",
+        help="acceleration structures of meshes may take so much, for example 2G",
+    )
+    general = parser.add_argument_group("general")
+    crops = (
+        "measure the error too: so many of 12 parts of the picture, picked at random, are rendered full and "
+        "culled by the engine (default: 2)"
+    )
+    general.add_argument("--verify", type=crop_count, nargs="?", const=2, default=0, metavar="N", help=crops)
+    again = (
+        "with --verify: where that finds more change than --max-error allows, analyse again with a tighter one; "
+        "in the end everything stays"
+    )
+    general.add_argument("--enforce", action="store_true", help=again)
+    general.add_argument("--seed", type=seed_number, default=0, metavar="S", help="of all random numbers (default: 0)")
+    general.add_argument("--threads", type=thread_count, default=0, metavar="N", help="0: all cores (default)")
+    general.add_argument("--quiet", action="store_true", help="no progress")
+    return parser
+
+
+def cull_options(args: argparse.Namespace) -> CullOptions:
+    """The culling options of a command line; what it does not say has the defaults of `core`.
+
+    A hybrid picture shows what is culled all the same, so no tile of it need change by more than the mean may.
+    """
+    spread = 1.0 if getattr(args, "engine", "") == "hybrid" else SPREAD
+    given = {name: getattr(args, name) for name in ("min_share", "paths")}
+    own = POLICIES[args.cull].setting
+    given["setting"] = None if own is None else getattr(args, own.name)
+    given["max_error"] = Budget.parse(f"{DEFAULT_BUDGET.mean}" if args.max_error is None else args.max_error, spread)
+    given["blas_budget_bytes"] = args.blas_budget
+    said = {name: value for name, value in given.items() if value is not None}
+    return CullOptions(
+        policy=args.cull,
+        seed=args.seed,
+        threads=args.threads,
+        mitigation=not args.no_mitigation,
+        parts=_by_parts(args),
+        **said,
+    )
+
+
+def _by_parts(args: argparse.Namespace) -> bool:
+    """Whether large meshes are culled by parts: where Blender renders them, and frames decide by themselves."""
+    engine = getattr(args, "engine", "")
+    return not (args.no_parts or args.warm or engine in ("path", "hybrid") or (not engine and args.verify))
+
+
+def check(args: argparse.Namespace) -> None:
+    """Raise InputError for what can be told before Blender starts: no scene, bad numbers, an output folder that cannot
+    be written."""
+    from ...core.files.report import output_folder
+
+    if args.scene is None and "bpy" not in sys.modules:
+        raise InputError("SCENE is missing: name a .blend or another scene file")
+    if args.no_mitigation and not args.warm:
+        raise InputError(
+            "--no-mitigation has a meaning with --warm alone: frames that decide by themselves have nothing that "
+            "comes into view"
+        )
+    if args.shot is not None and (args.bake != "shot" or args.warm):
+        raise InputError(
+            "--shot is for --bake shot without --warm: other frames decide by themselves, or by all before them"
+        )
+    if args.shot is not None and not (args.frames and set(args.frames) <= set(args.shot)):
+        raise InputError("--shot goes with --frames that are a part of it")
+    if args.verify and (args.bake == "shot" or getattr(args, "engine", "") == "hybrid"):
+        raise InputError("--verify is for --bake frame, and for the engines cycles, eevee and path")
+    if args.enforce and not args.verify:
+        raise InputError("--enforce acts on what --verify measures: give both")
+    if args.enforce and (args.cull != "light-paths" or args.min_share is not None or args.warm):
+        raise InputError(
+            "--enforce keeps to --max-error: it goes with --cull light-paths, without --min-share and --warm"
+        )
+    check_device(args)
+    if args.verify and args.cull == "none":
+        raise InputError("--verify measures what culling changes: with --cull none nothing does")
+    if args.scene is not None and not args.scene.exists():
+        raise InputError(f"no such file: {args.scene}")
+    cull_options(args)
+    output_folder(args.output)
+
+
+def check_device(args: argparse.Namespace) -> None:
+    """Raise InputError where a device is chosen for an engine that has no choice, or a texture cache for one that has
+    none."""
+    if getattr(args, "device", None) is not None and args.engine != "cycles":
+        raise InputError(f"--device chooses where Cycles renders; {HARDWARE[args.engine]}")
+    if getattr(args, "texture_cache", None) is not None and args.engine != "cycles":
+        raise InputError(f"--texture-cache is of Cycles; {HARDWARE[args.engine]}")
