@@ -27,7 +27,7 @@ for thread in threading.enumerate():
     if thread.name == "kernels":
         thread.join()
 import sys
-kernels = sys.modules.get("lipac.core.tracing.path_kernel")
+kernels = sys.modules.get("lipac.core.tracing.tile_kernel")
 print("LOADED", 0 if kernels is None else sum(kernels.trace_tile.stats.cache_hits.values()))
 """
 TYPES = (*[numba.int64] * 4, numba.uint64[::1])
