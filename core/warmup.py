@@ -29,15 +29,15 @@ def load_ahead() -> None:
     done later.
     """
     folder = os.environ.get("NUMBA_CACHE_DIR")  # by kernel_cache
-    if not folder or not any(Path(folder).glob("*/tile_kernel.trace_tile-*.nbi")):
+    if not folder or not any(Path(folder).glob("*/tile_kernel.trace_tiles-*.nbi")):
         return
 
     def load() -> None:
         with suppress(Exception):  # whoever needs it meets the error, and can tell the user
             from .culling import shot as frames  # noqa: F401
-            from .tracing.tile_kernel import trace_tile
+            from .tracing.tile_kernel import trace_tiles
 
-            trace_tile.compile((int64, int64, int64, int64, uint64[::1]))
+            trace_tiles.compile((int64[:, ::1], int64[::1], uint64[::1]))
 
     threading.Thread(target=load, name="kernels").start()
 

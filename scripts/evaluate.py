@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
-from ..core.processors import processors
 from ..core.progress import Progress, part
+from ..core.threads import processors
 from .studies.machine import machine
 
 SIZE = (320, 180)

@@ -16,8 +16,8 @@ from ..accel.hitboxes import Hitboxes
 from ..accel.tlas import Tlas, hit_instance
 from ..arrays import F32, F64, U8
 from ..jit.atomics import pointer
-from ..processors import processors
 from ..scene.model import Camera, Scene
+from ..threads import processors
 
 # Okabe and Ito's colours, told apart by colour-blind people: sRGB.
 ACTIVE = (0.90, 0.60, 0.00)

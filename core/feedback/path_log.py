@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..arrays import F32, I32, I64
 from ..scene.film import LUMINANCE
+from ..threads import over_parts
 from .hits import sparse_zeros
 
 # int32 per path, a line of the cache: how many entries it met, then the entries; a path that met more counts as one
@@ -57,17 +58,14 @@ class PathLog:
 
     def update(self, only: NDArray[np.uint8], other: PathLog) -> None:
         """Take the paths that only, (H, W, S), marks from another log."""
-        _take(
-            only.reshape(-1),
-            self.records.reshape(-1, RECORD),
-            self.color.reshape(-1, 3),
-            other.records.reshape(-1, RECORD),
-            other.color.reshape(-1, 3),
-        )
+        mine, theirs = ((log.records.reshape(-1, RECORD), log.color.reshape(-1, 3)) for log in (self, other))
+        marked = only.reshape(-1)
+        over_parts(lambda a, b: _take(marked[a:b], *(x[a:b] for x in (*mine, *theirs))), only.size)
 
     def clear(self, only: NDArray[np.uint8]) -> None:
         """Of the paths that only, (H, W, S), marks, forget what they met."""
-        _clear(only.reshape(-1), self.records.reshape(-1, RECORD))
+        marked, records = only.reshape(-1), self.records.reshape(-1, RECORD)
+        over_parts(lambda a, b: _clear(marked[a:b], records[a:b]), only.size)
 
     def affected(self, culled: np.ndarray, among: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """1 for each path that met one of the culled TLAS entries, (A,) bool, a box of what is not built, or more than
@@ -76,7 +74,8 @@ class PathLog:
         among: (H, W, S), marks the paths that there are, where those are not all.
         """
         out = np.ones(self.shape, np.uint8) if among is None else among.copy()
-        _mark(self.records.reshape(-1, RECORD), np.append(culled, True), out.reshape(-1))
+        records, gone, marked = self.records.reshape(-1, RECORD), np.append(culled, True), out.reshape(-1)
+        over_parts(lambda a, b: _mark(records[a:b], gone, marked[a:b]), out.size)
         return out
 
     def paths_met(self, entries: int) -> I64:

@@ -36,17 +36,16 @@ def atomic_add(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def atomic_add_int64(typingctx: Any, address: Any, value: Any) -> Any:
-    """*(int64 *)address += value, atomically; address uint64. Returns nothing."""
+    """*(int64 *)address += value, atomically; address uint64. Returns what was there before, int64."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         address_type, value_type = signature.args
         pointer = builder.inttoptr(
             context.cast(builder, args[0], address_type, types.uint64), ir.IntType(64).as_pointer()
         )
-        builder.atomic_rmw("add", pointer, context.cast(builder, args[1], value_type, types.int64), "monotonic")
-        return context.get_dummy_value()
+        return builder.atomic_rmw("add", pointer, context.cast(builder, args[1], value_type, types.int64), "monotonic")
 
-    return types.none(address, value), codegen
+    return types.int64(address, value), codegen
 
 
 @intrinsic

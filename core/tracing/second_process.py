@@ -17,7 +17,7 @@ from numba import types
 from numba.core import event
 
 from ..jit import healing as _healing  # noqa: F401
-from ..processors import processors
+from ..threads import processors
 
 _ROOT = __name__.rpartition(".core.")[0]  # `lipac`, or what an extension is called: what is cached holds for one name
 # What the second process runs. It ends with this one: then its input does. Packages around `core` are stood in for:

@@ -1,4 +1,4 @@
-"""The kernel that traces one tile of pixels: every sample of each starts a path of `path_kernel`."""
+"""The kernel that traces tiles of pixels: every sample of each starts a path of `path_kernel`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..feedback.hits import COLUMNS, ROWS
 from ..feedback.path_log import RECORD
 from ..jit.atomics import atomic_add_int64
 from ..jit.pointers import f32_pointer, load_u8
-from ..jit.sampling import OPTIONS, path_key, uniform2
+from ..jit.sampling import INNER, OPTIONS, path_key, uniform2
 from ..scene.camera import CAMERA, camera_ray
 from ..scene.film import filter_offset
 from .path_feedback import flush_path_contributions
@@ -49,17 +49,9 @@ _ZERO = np.float32(0.0)
 _LENS, _FILTER, _TIME = np.uint64(1 << 40), np.uint64((1 << 40) + 1), np.uint64((1 << 40) + 2)
 
 
-@njit(**OPTIONS)
-def trace_tile(x0, y0, x1, y1, a):
-    """Trace all samples of the pixels [x0, x1) x [y0, y1), or those paths that A_ONLY marks; a: addresses, A_*.
-
-    Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[2]; writes the light of each path to A_COLOR
-    where that is given.
-    """
-    s = scenery(a)
-    work = np.empty(WORK + 16, np.uint8)
-    w = scratch((np.uint64(work.ctypes.data) + np.uint64(15)) & ~np.uint64(15))
-    w.stats[RAYS] = 0
+@njit(**INNER)
+def _trace_tile(s, w, a, x0, y0, x1, y1):
+    """Trace all samples of the pixels [x0, x1) x [y0, y1), or those paths that A_ONLY marks. Returns how many."""
     width, height = s.settings[I_WIDTH], s.settings[I_HEIGHT]
     camera, cameras = f32_pointer(a[A_CAMERA]), s.settings[I_CAMERAS]
     pixel_filter = f32_pointer(a[A_FILTER])
@@ -118,6 +110,27 @@ def trace_tile(x0, y0, x1, y1, a):
             sums[i + 1] += g * exposure
             sums[i + 2] += b * exposure
             sums[i + 3] += np.float32(samples) - t
+    return paths
+
+
+@njit(**OPTIONS)
+def trace_tiles(tiles, taken, a):
+    """Trace tiles, (n, 4) int64 of x, y and where it ends, one after the other: each the next one that no thread has
+    taken. taken: int64[1], how many are; who sets it to n stops all. a: addresses, A_*.
+
+    Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[2]; writes the light of each path to A_COLOR
+    where that is given.
+    """
+    s = scenery(a)
+    work = np.empty(WORK + 16, np.uint8)
+    w = scratch((np.uint64(work.ctypes.data) + np.uint64(15)) & ~np.uint64(15))
+    w.stats[RAYS] = 0
+    paths = 0
+    counter = np.uint64(taken.ctypes.data)
+    k = atomic_add_int64(counter, 1)
+    while k < len(tiles):
+        paths += _trace_tile(s, w, a, tiles[k, 0], tiles[k, 1], tiles[k, 2], tiles[k, 3])
+        k = atomic_add_int64(counter, 1)
     atomic_add_int64(a[A_STATS] + np.uint64(8 * RAYS), w.stats[RAYS])
     atomic_add_int64(a[A_STATS] + np.uint64(8 * PATHS), paths)
     return work[0]  # keeps the work space alive until here

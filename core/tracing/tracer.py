@@ -3,38 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
-import operator
-import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Callable
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..accel.blas import BlasCache
 from ..accel.hitboxes import ALL_CROSSINGS, Hitboxes
 from ..accel.tlas import Tlas
-from ..arrays import F32
+from ..arrays import F32, I64
 from ..feedback.hits import Feedback
 from ..feedback.path_log import PathLog
 from ..jit.pointers import address
-from ..processors import processors
 from ..progress import Progress, silent
 from ..scene.camera import camera_constants
 from ..scene.change import Change
 from ..scene.film import Picture, filter_offsets
 from ..scene.model import Instances, Scene, Shader
+from ..threads import processors, start
 from . import path_state as state
 from .bsdf.lobes import SHADING_FLAGS
 from .lights.lamps import FAR
 from .lights.lights import Lights, emissive_instances
 from .second_process import share
 from .surface import SceneTable
-from .tile_kernel import trace_tile
+from .tile_kernel import trace_tiles
 
-TILE = 16
-Tile = tuple[int, int, int, int]  # x, y, and where it ends
+TILE = 16  # pixels
 _POLL = 0.05  # seconds between looks at progress and cancellation
 _INT32_MAX = 2**31 - 1
 
@@ -171,17 +169,10 @@ def trace(
         if boxes is not None and len(boxes):
             addresses[state.BOXES], addresses[state.A_BOX_COUNTERS] = boxes.handle, address(boxes.counters)
             addresses[state.N_BOXES] = len(boxes)
-    tiles = [
-        (x, y, min(x + TILE, width), min(y + TILE, height))
-        for y in range(0, height, TILE)
-        for x in range(0, width, TILE)
-    ]
-    if only is not None:
-        tiles = [(x, y, x1, y1) for x, y, x1, y1 in tiles if only[y:y1, x:x1].any()]
     _run(
-        tiles,
-        lambda tile: trace_tile(*tile, addresses),
-        threads,
+        tiles_to_trace(width, height, only),
+        addresses,
+        threads or processors(),
         f"tracing {width} x {height}, {samples} paths per pixel",
         progress,
         cancelled,
@@ -189,38 +180,54 @@ def trace(
     return Picture(sums, samples, int(stats[state.PATHS]), int(stats[state.RAYS]), parts)
 
 
+def tiles_to_trace(width: int, height: int, only: NDArray[np.uint8] | None) -> I64:
+    """(n, 4) int64: x, y of each tile and where it ends. only: as in `trace`; those with the most paths come first, so
+    that no thread begins the longest when the others are done."""
+    x, y = np.meshgrid(np.arange(0, width, TILE), np.arange(0, height, TILE))
+    tiles = np.stack([x, y, np.minimum(x + TILE, width), np.minimum(y + TILE, height)], -1).reshape(-1, 4)
+    if only is not None:
+        paths = np.zeros(len(tiles), np.int64)
+        _count_paths(only, x.shape[1], paths)
+        tiles = tiles[np.argsort(-paths, kind="stable")[: np.count_nonzero(paths)]]
+    return np.ascontiguousarray(tiles, np.int64)
+
+
+@njit(cache=True, nogil=True)
+def _count_paths(only, columns, paths):
+    """Add to paths, (n,), the number of those that only, (H, W, S), marks in each tile."""
+    for y in range(only.shape[0]):
+        for x in range(only.shape[1]):
+            count = 0
+            for k in range(only.shape[2]):
+                count += only[y, x, k] != 0
+            paths[y // TILE * columns + x // TILE] += count
+
+
 def _run(
-    tiles: Sequence[Tile],
-    work: Callable[[Tile], None],
+    tiles: I64,
+    addresses: NDArray[np.uint64],
     threads: int,
     text: str,
     progress: Progress,
     cancelled: Callable[[], bool] | None,
 ) -> None:
-    """Work on all tiles, each thread on the next one that nobody has taken; progress and cancelled are asked for now
-    and then."""
-    if cancelled and cancelled():
+    """Trace all tiles; progress and cancelled are asked for now and then."""
+    if not len(tiles) or (cancelled and cancelled()):
         return
-    left, stop = iter(tiles), threading.Event()
-
-    def take() -> None:
-        for tile in left:  # list iterators hand out each item once, whoever asks
-            if stop.is_set():
-                return
-            work(tile)
-
-    with ThreadPoolExecutor(threads or processors()) as pool:
-        running = {pool.submit(take) for _ in range(min(threads or processors(), len(tiles)))}
-        try:
-            while running:
-                done, running = wait(running, _POLL)
-                if cancelled and cancelled():
-                    stop.set()
-                for future in done:
-                    future.result()
-                progress(1 - operator.length_hint(left) / len(tiles), text)
-        finally:
-            stop.set()
+    taken = np.zeros(1, np.int64)
+    running: set[Future[None]] = set()
+    try:
+        running = start(lambda: trace_tiles(tiles, taken, addresses), min(threads, len(tiles)))
+        while running:
+            done, running = wait(running, _POLL)
+            if cancelled and cancelled():
+                taken[0] = len(tiles)
+            for future in done:
+                future.result()
+            progress(min(int(taken[0]), len(tiles)) / len(tiles), text)
+    finally:
+        taken[0] = len(tiles)
+        wait(running)  # they write to arrays of ours
 
 
 def _settings(

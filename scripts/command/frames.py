@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...core.culling.policies import LIGHT_PATHS
 from ...core.errors import InputError
-from ...core.processors import processors
+from ...core.threads import processors
 from ...core.warmup import load_ahead, telling
 from ...version import __version__
 from .digest import digest

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.files.report import size
-from ...core.processors import processors
+from ...core.threads import processors
 
 FULL, OTHER_SEED, CULLED = "full", "other-seed", "culled"
 

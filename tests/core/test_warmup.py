@@ -14,7 +14,7 @@ import pytest
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.options import CullOptions
 from lipac.core.scene import model as s
-from lipac.core.tracing.tile_kernel import trace_tile
+from lipac.core.tracing.tile_kernel import trace_tiles
 from lipac.core.warmup import KERNELS, LAST, telling
 
 from . import scenes
@@ -28,9 +28,9 @@ for thread in threading.enumerate():
         thread.join()
 import sys
 kernels = sys.modules.get("lipac.core.tracing.tile_kernel")
-print("LOADED", 0 if kernels is None else sum(kernels.trace_tile.stats.cache_hits.values()))
+print("LOADED", 0 if kernels is None else sum(kernels.trace_tiles.stats.cache_hits.values()))
 """
-TYPES = (*[numba.int64] * 4, numba.uint64[::1])
+TYPES = (numba.int64[:, ::1], numba.int64[::1], numba.uint64[::1])
 
 
 @pytest.mark.parametrize("cold", [False, True])
@@ -38,7 +38,7 @@ def test_kernels_are_loaded_ahead_where_they_are_compiled(cold, tmp_path, monkey
     if cold:
         monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
     else:
-        trace_tile.compile(TYPES)
+        trace_tiles.compile(TYPES)
     done = subprocess.run([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True, check=True)
     assert done.stdout.split() == ["LOADED", "0" if cold else "1"]
 
@@ -46,7 +46,7 @@ def test_kernels_are_loaded_ahead_where_they_are_compiled(cold, tmp_path, monkey
 def test_the_loaded_kernel_is_the_one_that_tracing_calls():
     scene = scenes.build([scenes.cube()], [(0, scenes.placed((0, 3, 0)), 0)], [s.default_material()])
     assert analyze(scene, CullOptions(width=16, paths=1)).stats["rays"] > 0
-    assert trace_tile.signatures == [TYPES]
+    assert trace_tiles.signatures == [TYPES]
 
 
 def test_compiling_is_said_and_nothing_else_meanwhile():

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from threading import Event
 
-from ....core.processors import processors
 from ....core.progress import Progress, silent
+from ....core.threads import processors
 from ...batch.pipeline import Cancel, never
 from ..children import run
 from ..layout import FarmShot

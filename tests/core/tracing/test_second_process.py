@@ -66,7 +66,7 @@ def test_what_the_worker_compiled_is_loaded_and_nothing_is_compiled_again(
     assert done <= names
 
     first = _compiled(tmp_path)
-    assert "lipac.core.tracing.tile_kernel.trace_tile" in first
+    assert "lipac.core.tracing.tile_kernel.trace_tiles" in first
     # or the worker's signatures are not the kernel's
     assert not {name.removeprefix("lipac.core.") for name in first} & names
     # numba numbers a function's variants: were there two, each process could take the same number for another one. And

@@ -1,0 +1,46 @@
+"""Threads for kernels that run without Python's lock: how many are worth while, and those that wait for work."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
+_pools: dict[int, ThreadPoolExecutor] = {}  # by number of threads: starting some takes as long as a small trace
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pools.clear)  # whose threads are the parent's
+_WORTH_WHILE = 1 << 15  # items of a cheap kernel under which one thread is as fast
+
+
+def processors() -> int:
+    """Processors that this process may run on: of a machine whose others are another's, those alone."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def start(work: Callable[[], None], threads: int) -> set[Future[None]]:
+    """Call work on so many threads at once, which must not start any itself. Raises RuntimeError where the system has
+    none to give; no call is left then."""
+    pool = _pools.setdefault(threads, ThreadPoolExecutor(threads, "lipac"))
+    try:
+        return {pool.submit(work) for _ in range(threads)}
+    except RuntimeError:
+        _pools.pop(threads, None)
+        pool.shutdown(cancel_futures=True)
+        raise
+
+
+def over_parts(kernel: Callable[[int, int], None], count: int, threads: int = 0) -> None:
+    """Call kernel(start, stop) for parts of range(count), together all of it, on several threads (0: all processors)
+    where that is worth while."""
+    parts = min(threads or processors(), count // _WORTH_WHILE)
+    if parts <= 1:
+        kernel(0, count)
+        return
+    left = iter([(count * k // parts, count * (k + 1) // parts) for k in range(parts)])
+
+    def take() -> None:
+        for first, stop in left:  # list iterators hand out each item once, whoever asks
+            kernel(first, stop)
+
+    for future in start(take, parts):
+        future.result()
