@@ -75,7 +75,12 @@ def _run(argv: Sequence[str] | None) -> int:
     if name not in COMMANDS:
         say(f"lipac: unknown command '{name}'; choose one of {', '.join(COMMANDS)}", sys.stderr)
         return 2
-    return guarded(name, rest)
+    status = guarded(name, rest)
+    if argv is None and status:  # the process ends
+        from .command.last_words import nothing_more
+
+        nothing_more(status)
+    return status
 
 
 def guarded(name: str, arguments: Sequence[str]) -> int:

@@ -32,7 +32,8 @@ class Child:
         self.process = subprocess.Popen(
             [*command, json.dumps(given)], stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment
         )
-        threading.Thread(target=self._read_errors, daemon=True).start()
+        self._errors = threading.Thread(target=self._read_errors, daemon=True)
+        self._errors.start()
         if (answer := self._answer(START_LIMIT)) is None or answer.get("ready") is not True:
             self.end()
             raise RuntimeError(f"a process for scenes does not start: {self._last_words()}")
@@ -94,6 +95,8 @@ class Child:
             self._log = [*self._log[-4:], line.strip()]
 
     def _last_words(self) -> str:
+        """The last lines on stderr of a process that has ended."""
+        self._errors.join(1.0)  # not for ever: a process that it started may hold the stream
         return " | ".join(self._log)[-300:]
 
 

@@ -64,6 +64,24 @@ with last_words("outer", 3):
         assert signal.getsignal(signal.SIGSEGV) is not None
 
 
+def test_a_crash_at_the_end_changes_nothing() -> None:
+    """Blender's own end crashes where memory is short: what was said, and the status, stay."""
+    code = f"""
+import sys, atexit
+from lipac.scripts.command.last_words import nothing_more
+def crash():
+    {SEGFAULT}
+if len(sys.argv) > 1:
+    atexit.register(crash)
+print("written", end="")
+nothing_more(2)
+sys.exit(2)
+"""
+    for arguments in ((), ("crash",)):
+        done = process(code, *arguments)
+        assert (done.returncode, done.stdout if not arguments else "written", done.stderr) == (2, "written", "")
+
+
 @pytest.fixture(scope="module")
 def stage_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return saved(stage, tmp_path_factory.mktemp("scene") / "stage.blend")
@@ -100,7 +118,7 @@ def test_too_little_memory(space: float, stage_file: Path, tmp_path: Path) -> No
     options = ["render", str(stage_file), "-o", str(tmp_path), "--resolution", "32x18", "--samples", "1", "--quiet"]
     limit: dict[str, Any] = {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_AS, (int(space), int(space)))}
     done = process(
-        f"{WITHOUT_SCIPY}; from lipac.scripts.lipac import main; import sys; sys.exit(main(sys.argv[1:]))",
+        f"{WITHOUT_SCIPY}; from lipac.scripts.lipac import main; import sys; sys.exit(main())",
         *options,
         **limit,
     )
