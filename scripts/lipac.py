@@ -24,6 +24,7 @@ COMMANDS = {
     "demo": ("demo", "write a procedural demo scene to a .blend file"),
     "analyze": ("analyze", "decide which instances light paths need; no picture"),
     "render": ("render", "cull and render by Cycles, EEVEE or the path tracer"),
+    "report": ("report", "write report.html, a page to look at, from what these two left"),
     "evaluate": ("evaluate", "measure speed against error for every culling policy"),
     "farm": (
         "farm.write",

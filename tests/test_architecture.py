@@ -34,6 +34,7 @@ FLOORS = (
     "core.culling",
     "core.hybrid",
     "core.evaluation",
+    "core.page",
     "core.warmup",
     "lipac_addon.console lipac_addon.keys lipac_addon.timeline lipac_addon.depsgraph lipac_addon.pictures",
     "lipac_addon.extract.materials",

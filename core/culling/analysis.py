@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,7 +169,8 @@ def _decided(
         "unknown_worst": float(unknown.max(initial=0.0)),
         "certificate_paths": verdict.paths,
     }
-    return loop.result(keep, score, measured.feedback.hits, tuple(warnings), **error)
+    tiles = estimate.upper_tiles(verdict.confidence).astype(np.float32)
+    return replace(loop.result(keep, score, measured.feedback.hits, tuple(warnings), **error), tiles=tiles)
 
 
 def _searched(

@@ -37,6 +37,7 @@ class CullingResult:
     paths that met it, by type. boxes: (H, 2, 3) float32 world boxes that stand in for what is culled. faces: by row of
     an active instance whose mesh was divided, (F,)
     bool, those of its faces that stay. stats: the frame's figures, named as in report.json.
+    tiles: (TILES,) float32, by how much each tile of the picture changes at most, where that is certified.
     warnings: what could not be kept to. built: for a renderer of this frame; None where nothing was.
     """
 
@@ -47,6 +48,7 @@ class CullingResult:
     stats: dict[str, float | int]
     warnings: tuple[str, ...] = ()
     faces: Mapping[int, np.ndarray] = field(default_factory=dict)
+    tiles: F32 | None = None
     built: Built | None = field(default=None, repr=False, compare=False)
 
     @property

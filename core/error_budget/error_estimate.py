@@ -83,6 +83,10 @@ class ErrorEstimate:
         errors, independent by tile)."""
         return float(_upper_worst(self.tiles, self.deviation, confidence))
 
+    def upper_tiles(self, confidence: float = CONFIDENCE) -> F64:
+        """(T,) float64, what each tile by itself does not exceed, with this confidence."""
+        return np.asarray(np.maximum(self.tiles + _quantile(confidence) * self.deviation, 0.0))
+
     def holds(self, budget: Budget) -> bool:
         """Whether the estimates are within both bounds."""
         return self.mean <= budget.mean and self.worst <= budget.worst

@@ -27,6 +27,12 @@ def tile_means(picture: F32) -> F64:
     return np.bincount(tile, luminance.ravel(), TILES) / np.maximum(np.bincount(tile, minlength=TILES), 1)
 
 
+def tile_changes(full: F32, other: F32) -> F64:
+    """Relative change of the tiles between two pictures, (H, W, 3 or 4) float32, linear, noise included: (TILES,)."""
+    a, b = tile_means(full), tile_means(other)
+    return np.asarray(np.abs(b - a) / np.maximum(a, max(DARK * float(a.mean()), 1e-30)))
+
+
 def marks(samples: I64, height: int, width: int) -> NDArray[np.uint8]:
     """(height, width, S) 1 for each of so many paths per pixel, (TILES,), in each tile: the first ones of S, the most
     that a tile has."""

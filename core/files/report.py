@@ -35,7 +35,7 @@ UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)  # wh
 FIELDS = ("frame", *COUNTS, "blas_built", *LARGEST, *SECONDS, "paths", "rays", "iterations")
 
 
-def _found(folder: Path) -> dict[str, Any] | None:
+def found_report(folder: Path) -> dict[str, Any] | None:
     """The report in a folder, None where there is none of this schema."""
     path = folder / "report.json"
     try:
@@ -165,19 +165,19 @@ class Report:
     def other_options(self, folder: Path) -> list[str]:
         """Names of what differs between this command and the report in a folder; empty where that is of the same kind,
         or where there is none."""
-        found = _found(folder)
+        found = found_report(folder)
         return [] if found is None else self._differences(found)
 
     def finished(self, folder: Path) -> set[int] | None:
         """Numbers of the frames that the report in a folder has; None where there is none of the same kind."""
-        found = _found(folder)
+        found = found_report(folder)
         return None if found is None or self._differences(found) else {frame["frame"] for frame in found["frames"]}
 
     def write(self, folder: Path) -> None:
         """Write folder/report.json: the frames that it has already, where it is of the same kind, and this command's.
         Another is kept beside."""
         with alone(folder):
-            data, found = self.as_dict(), _found(folder)
+            data, found = self.as_dict(), found_report(folder)
             if (found is None or self._differences(found)) and (found is None or found["frames"]):
                 _keep_beside(folder / "report.json")
             if found is not None and not self._differences(found):
@@ -281,6 +281,7 @@ def save_states(
     note: str = "",
     boxes: F64 | None = None,
     faces: Mapping[str, np.ndarray] | None = None,
+    certified: F32 | None = None,
 ) -> None:
     """Write the states of a frame (states/frame_0001.npz).
 
@@ -290,8 +291,8 @@ def save_states(
     the same whatever other frames were looked at. Integers have the smallest type that holds them. note: a text to keep
     with it.
     boxes: (H, 2, 3) world boxes that stand in for what is culled. faces: as in `States`; in the file face_names (K,),
-    face_counts (K,) and face_bits, packed. Not compressed: at a million instances that would take longer than the
-    analysis.
+    face_counts (K,) and face_bits, packed. certified: (TILES,), as `CullingResult.tiles`. Not compressed: at a million
+    instances that would take longer than the analysis.
     """
     depth = int((keys["path"] >= 0).any(axis=0).sum()) if len(keys) else 0
     host, ob, used = _renamed(keys["host"], keys["object"], names)
@@ -311,6 +312,8 @@ def save_states(
         arrays["face_names"] = np.array(list(faces), dtype=np.str_)
         arrays["face_counts"] = np.array([len(mask) for mask in faces.values()])
         arrays["face_bits"] = np.packbits(np.concatenate(list(faces.values())))
+    if certified is not None:
+        arrays["certified"] = certified
     if note:
         arrays["note"] = np.array(note)
     # in memory first: a ZipFile that cannot write to a full disk complains again where it is freed, on Python 3.11

@@ -33,7 +33,7 @@ SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays"
 class Decided:
     """What was decided on a frame, for all its view layers. state (N,), score (N,), hits (N, RAY_TYPES), boxes (H, 2,
     3): as of `CullingResult`, boxes in the world; records, names: its keys; entry: for the report; faces: as of
-    `States`."""
+    `States`; tiles: as of `CullingResult`."""
 
     state: U8
     score: F32
@@ -45,6 +45,7 @@ class Decided:
     approximated: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     faces: Mapping[str, np.ndarray] = field(default_factory=dict)
+    tiles: F32 | None = None
 
     @property
     def keys(self) -> Keys:
@@ -53,7 +54,9 @@ class Decided:
 
     def save(self, path: Path, note: str = "") -> None:
         """As a file of states."""
-        save_states(path, self.state, self.score, self.hits, self.records, self.names, note, self.boxes, self.faces)
+        save_states(
+            path, self.state, self.score, self.hits, self.records, self.names, note, self.boxes, self.faces, self.tiles
+        )
 
     @property
     def states(self) -> States:
@@ -69,7 +72,16 @@ def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, A
     lines = scene.approximated, (*extraction.warnings, *result.warnings)
     faces = {keys.names[keys.records["object"][row]]: mask for row, mask in result.faces.items()}
     return Decided(
-        result.state, result.score, result.hits, boxes, keys.records, keys.names, entry | result.stats, *lines, faces
+        result.state,
+        result.score,
+        result.hits,
+        boxes,
+        keys.records,
+        keys.names,
+        entry | result.stats,
+        *lines,
+        faces,
+        result.tiles,
     )
 
 
@@ -102,7 +114,7 @@ def decide_layers(
         result = session.decide(extraction, None, within, cancelled)
         check(cancelled)
         if not session.job.engine:
-            entry |= verified(session.job, extraction.scene, result.active, silent, cancelled)
+            entry |= verified(session.job, frame, extraction.scene, result.active, silent, cancelled)
         parts.append(decided_of(extraction, result, entry))
         del result  # and what it has built
         if last:
@@ -148,6 +160,8 @@ def _united(parts: Sequence[Decided]) -> Decided:
             if isinstance(values[0], int | float)
             else values[0]
         )
+    if len(tiles_of := [one.entry["verified_tiles"] for one in parts if "verified_tiles" in one.entry]) > 1:
+        entry["verified_tiles"] = np.max(tiles_of, axis=0).tolist()
     counts = np.bincount(state, minlength=len(State)).tolist()
     entry |= {
         "instances": n,
@@ -160,5 +174,9 @@ def _united(parts: Sequence[Decided]) -> Decided:
         tuple(dict.fromkeys(line for one in parts for line in getattr(one, name)))
         for name in ("approximated", "warnings")
     ]
+    by_layer = [one.tiles for one in parts if one.tiles is not None]
+    tiles: F32 | None = np.asarray(np.max(by_layer, axis=0)) if len(by_layer) == len(parts) else None
     boxes, keys = np.concatenate([one.boxes for one in parts]), together.keys
-    return Decided(state, score, hits, boxes, keys.records, keys.names, entry, lines[0], lines[1], together.faces)
+    return Decided(
+        state, score, hits, boxes, keys.records, keys.names, entry, lines[0], lines[1], together.faces, tiles
+    )

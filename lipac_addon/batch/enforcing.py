@@ -24,7 +24,7 @@ ENFORCED = 4
 
 
 def verified(
-    job: Job, scene: Scene | None, active: np.ndarray | None, progress: Progress, cancelled: Cancel
+    job: Job, frame: int, scene: Scene | None, active: np.ndarray | None, progress: Progress, cancelled: Cancel
 ) -> dict[str, object]:
     """What the frame's entry says of the error that was measured, where the job asks for that. scene, active: for an
     engine of ours."""
@@ -32,12 +32,12 @@ def verified(
         return {}
     from .verify import verified_blender, verified_path
 
-    start = time.perf_counter()
+    start, stem = time.perf_counter(), job.folder / "verified" / job.stem(frame).name
     if scene is None or active is None:
-        found = verified_blender(job.engine, job.samples, job.seed, job.threads, job.verify, progress, job.device)
+        found = verified_blender(job.engine, stem, job.samples, job.seed, job.threads, job.verify, progress, job.device)
     else:
         samples = job.samples or samples_of(bpy.context.scene, "path")
-        found = verified_path(scene, active, samples, job.seed, job.threads, job.verify, cancelled)
+        found = verified_path(scene, active, stem, samples, job.seed, job.threads, job.verify, cancelled)
     return {**found.entry(), "verify_s": time.perf_counter() - start}
 
 

@@ -62,7 +62,7 @@ def run_frame_ahead(
     )
     rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
     outcome.entry.update(render(job, frame, rest).entry())
-    outcome.entry.update(verified(job, None, None, rest, cancelled))
+    outcome.entry.update(verified(job, frame, None, None, rest, cancelled))
     _report(job, outcome, report)
 
 
@@ -140,7 +140,7 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
             gc.collect()
             rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
             entry |= render(job, frame, rest).entry()
-            entry |= verified(job, None, None, rest, cancelled)
+            entry |= verified(job, frame, None, None, rest, cancelled)
             return Outcome(entry, approximated, warnings)
         return Outcome(entry, decided.approximated, warnings)
     decided = _by_ours(sessions[0], frame, progress, cancelled, last)
@@ -172,7 +172,7 @@ def _by_ours(session: Session, frame: int, progress: Progress, cancelled: Cancel
         entry["render_s"] = render_path(
             scene, result.active, job.stem(frame), job.samples, job.seed, job.threads, rest, cancelled, result.built
         )
-        entry |= verified(job, scene, result.active, rest, cancelled)
+        entry |= verified(job, frame, scene, result.active, rest, cancelled)
     return decided
 
 

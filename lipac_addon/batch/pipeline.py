@@ -66,6 +66,7 @@ def _sweep(job: Job, keep_analyses: bool) -> None:
     sweep(job.folder, stems | {f"{stem}_layers" for stem in stems})
     for folder in (job.folder / "states", job.folder / "analysis"):
         sweep(folder, stems)
+    sweep(job.folder / "verified", {f"{stem}_{name}" for stem in stems for name in ("full", "culled")})
     unwanted = set() if keep_analyses else {job.analysis(frame).name for frame in job.shot or job.frames}
     with alone(job.folder):
         for path in (job.folder / "analysis").glob("frame_*.npz"):

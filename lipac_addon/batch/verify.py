@@ -8,11 +8,13 @@ of rendering crops of the full scene.
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import NormalDist
 
+import bpy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +28,7 @@ from ...core.scene.film import LUMINANCE
 from ...core.scene.model import Scene
 from .. import writeback
 from ..console import muted
-from ..pictures import read_picture
+from ..pictures import read_picture, save_pixels
 from .engines.blender import render_blender
 from .engines.choices import AS_SET, DeviceChoice
 
@@ -45,7 +47,8 @@ class Verified:
 
     least_mean, least_worst: what is left of both when what noise may make is taken off, by the pixels' differences: of
     each tile the mean size of its noise, and NOISE standard errors of all tiles; of the worst tile as many standard
-    errors as are as rare for the worst of so many as NOISE are for one.
+    errors as are as rare for the worst of so many as NOISE are for one. tiles: (K, T) of each crop's coarse tiles, in
+    rows from the bottom. full_s, culled_s: seconds that the crops took.
     """
 
     mean: float
@@ -53,12 +56,24 @@ class Verified:
     least_mean: float
     least_worst: float
     crops: tuple[Crop, ...]
+    tiles: tuple[tuple[float, ...], ...] = ()
+    full_s: float = 0.0
+    culled_s: float = 0.0
 
     def entry(self) -> dict[str, object]:
         """For a frame of report.json."""
         crops = [list(crop) for crop in self.crops]
         least = {"verified_least_mean": self.least_mean, "verified_least_worst": self.least_worst}
-        return {"verified_mean": self.mean, "verified_worst": self.worst, **least, "verified_crops": crops}
+        tiles = {"verified_grid": list(GRID), "verified_tiles": [list(tiles) for tiles in self.tiles]}
+        seconds = {"verified_full_s": self.full_s, "verified_culled_s": self.culled_s} if self.full_s else {}
+        return {
+            "verified_mean": self.mean,
+            "verified_worst": self.worst,
+            **least,
+            "verified_crops": crops,
+            **tiles,
+            **seconds,
+        }
 
     def breaks(self, budget: Budget) -> bool:
         """Whether the change is surely above a bound, whatever the noise of the crops."""
@@ -82,6 +97,7 @@ def random_crops(count: int, seed: int) -> tuple[Crop, ...]:
 
 def verified_blender(
     engine: str,
+    stem: Path,
     samples: int | None,
     seed: int,
     threads: int,
@@ -90,29 +106,52 @@ def verified_blender(
     device: DeviceChoice = AS_SET,
 ) -> Verified:
     """The change of so many crops of the open file's current frame, whose culling is applied and is not afterwards;
-    options as of `render_blender`."""
-    crops = random_crops(count, seed)
+    options as of `render_blender`, and stem as of `save_crops`."""
+    crops, start = random_crops(count, seed), time.perf_counter()
     culled = _blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.0, 0.3, "culled, "))
     with muted():
         writeback.restore()
-    return change(
-        _blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.3, 1.0, "full, ")), culled, crops
-    )
+    between = time.perf_counter()
+    full = _blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.3, 1.0, "full, "))
+    end = time.perf_counter()
+    save_crops(full, culled, crops, stem)
+    return replace(change(full, culled, crops), full_s=end - between, culled_s=between - start)
 
 
 def verified_path(
     scene: Scene,
     active: NDArray[np.bool_],
+    stem: Path,
     samples: int,
     seed: int,
     threads: int,
     count: int,
     cancelled: Callable[[], bool],
 ) -> Verified:
-    """The change of so many crops of a core scene by the path tracer, with only active, (N,) bool, in it. Raises
-    Cancelled."""
+    """The change of so many crops of a core scene by the path tracer, with only active, (N,) bool, in it; stem as of
+    `save_crops`. Raises Cancelled."""
     crops = random_crops(count, seed)
-    return change(*_path_crops(scene, active, samples, seed, threads, crops, cancelled), crops)
+    full, culled = _path_crops(scene, active, samples, seed, threads, crops, cancelled)
+    save_crops(full, culled, crops, stem)
+    return change(full, culled, crops)
+
+
+def save_crops(full: list[F32], culled: list[F32], crops: tuple[Crop, ...], stem: Path) -> None:
+    """Keep what was compared of the open scene's picture: stem_full and stem_culled, each as .exr and .png, black where
+    there is no crop."""
+    scene = bpy.context.scene
+    width, height = (
+        int(n * scene.render.resolution_percentage / 100)
+        for n in (scene.render.resolution_x, scene.render.resolution_y)
+    )
+    stem.parent.mkdir(exist_ok=True)
+    for name, pictures in (("full", full), ("culled", culled)):
+        whole = np.zeros((height, width, 4), np.float32)
+        for (x, y), picture in zip(crops, pictures, strict=True):
+            place = whole[y * height // GRID[1] :, x * width // GRID[0] :][: picture.shape[0], : picture.shape[1]]
+            place[:] = picture[: place.shape[0], : place.shape[1]]
+        with muted():
+            save_pixels(whole, scene, stem.with_name(f"{stem.name}_{name}"))
 
 
 def _blender_crops(
@@ -173,8 +212,9 @@ def change(full: list[F32], culled: list[F32], crops: tuple[Crop, ...]) -> Verif
     size, noise = np.abs(change) / light, np.sqrt(np.maximum(square - change**2, 0.0) * count) / light
     least_mean = size.mean() - np.sqrt(2 / np.pi) * noise.mean() - NOISE * np.sqrt((noise**2).sum()) / len(size)
     least_worst = (size - NORMAL.inv_cdf(1 - (1 - NORMAL.cdf(NOISE)) / len(size)) * noise).max()
+    least = max(float(least_mean), 0.0), max(float(least_worst), 0.0)
     return Verified(
-        float(size.mean()), float(size.max()), max(float(least_mean), 0.0), max(float(least_worst), 0.0), crops
+        float(size.mean()), float(size.max()), *least, crops, tuple(map(tuple, size.reshape(len(crops), -1).tolist()))
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import gc
+import math
 import os
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ from .digest import digest
 from .interrupt import ctrl_c
 from .last_words import last_words
 from .options import check, check_device, cull_options
+from .page import leave
 from .streams import progress_of, say
 
 if TYPE_CHECKING:
@@ -117,6 +119,8 @@ def do_frames(
             )
         report.note(report.warnings, missing_libraries())
         run(job, report, progress, cancelled)
+        progress(math.nan, "writing report.html")
+        leave(args.output)
     say(report.table(), sys.stdout)
     for kind, lines in (("warning", report.warnings), ("approximated", report.approximated)):
         for line in lines[:MOST_LINES]:

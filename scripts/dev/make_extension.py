@@ -32,7 +32,7 @@ STYLE = (
     ".6em;text-align:left;border:1px solid #ccc}"
 )
 PACKAGES = ("core", "lipac_addon", "scripts")
-SUFFIXES = {".py", ".npz", ".c", ".sh", ".js"}
+SUFFIXES = {".py", ".npz", ".c", ".sh", ".js", ".html", ".css"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

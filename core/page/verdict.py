@@ -1,0 +1,122 @@
+"""What a report comes to, in a sentence or two: the first thing that its page says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+GOOD, FAIR, BAD = "good", "fair", "bad"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """standing: GOOD, FAIR (nobody can tell, or there is nothing to tell) or BAD; headline: in a few words; sentences:
+    what
+    it rests on. culled, certified, verified: whether any frame is."""
+
+    standing: str
+    headline: str
+    sentences: tuple[str, ...] = ()
+    culled: bool = False
+    certified: bool = False
+    verified: bool = False
+
+
+def verdict(report: dict[str, Any], measured: tuple[float, float] | None = None) -> Verdict:
+    """Of a report: whether its pictures are surely as near to those of the full scene as was asked, and how that is
+    known.
+
+    measured: the mean change and that of the worst tile of a frame that was rendered with everything, too."""
+    frames = report["frames"]
+    certified, verified = (any(f"{what}_mean" in frame for frame in frames) for what in ("certified", "verified"))
+    culled = any(frame["culled"] for frame in frames)
+    return replace(_judged(report, measured), culled=culled, certified=certified, verified=verified)
+
+
+def bound_of(report: dict[str, Any]) -> dict[str, float] | None:
+    """The error budget that decided, `mean` and `worst`; None where something else did."""
+    options = report["options"]
+    return options.get("max_error") if report["policy"] == "light-paths" and options.get("min_share") is None else None
+
+
+def _judged(report: dict[str, Any], measured: tuple[float, float] | None) -> Verdict:
+    frames = report["frames"]
+    if not frames:
+        return Verdict(FAIR, "No frame is finished", ("Nothing can be said yet.",))
+    if not any(frame["culled"] for frame in frames):
+        return Verdict(
+            FAIR,
+            "Nothing was left out",
+            ("Everything is in the picture: there is no change to judge, and nothing is saved.",),
+        )
+    bound = bound_of(report)
+    verified = [frame for frame in frames if "verified_mean" in frame]
+    certified = [frame for frame in frames if "certified_mean" in frame]
+    if bound is None and certified:
+        return Verdict(FAIR, "Certified, against no bound that the report knows")
+    if bound is None:
+        return _without_budget(verified)
+    broken = [frame["frame"] for frame in verified if _above(frame, bound, "verified_least")]
+    if broken:
+        return Verdict(
+            BAD,
+            "The picture changes by more than was allowed",
+            (_where(broken), "Render again with --enforce, or with a smaller --max-error."),
+        )
+    if len(certified) < len(frames) or any(_above(frame, bound, "certified") for frame in certified):
+        known = "For at least one frame the analysis could not show that the change is within the budget."
+        return Verdict(
+            BAD if not verified else FAIR,
+            "Not surely within the error budget",
+            (known, *_compared(verified, frames, bound, measured)),
+        )
+    shot = any("needed" in frame for frame in frames)
+    own = "Each frame's own set was certified; the set of the shot, with more in it, was not by itself." if shot else ""
+    return Verdict(
+        GOOD, "Within the error budget", tuple(filter(None, (*_compared(verified, frames, bound, measured), own)))
+    )
+
+
+def _without_budget(verified: list[dict[str, Any]]) -> Verdict:
+    known = "What was kept was not chosen by an error budget, so nothing is certified."
+    more = (
+        "The change was measured in parts of the picture."
+        if verified
+        else "By how much the picture changes is not known: --verify measures it."
+    )
+    return Verdict(FAIR, "Culled without an error budget", (known, more))
+
+
+def _compared(
+    verified: list[dict[str, Any]],
+    frames: list[dict[str, Any]],
+    bound: dict[str, float],
+    measured: tuple[float, float] | None,
+) -> tuple[str, ...]:
+    """How the renderer's pictures stand to the bounds."""
+    if not verified and measured is None:
+        return ("This is what the analysis states by its own light paths. The renderer was not asked: --verify does.",)
+    if measured is not None:
+        said = "The renderer was asked, too: it rendered everything."
+        within = measured[0] <= bound["mean"] and measured[1] <= bound["worst"]
+    else:
+        of = f"{len(verified)} of {len(frames)} frames" if len(frames) > 1 else "the frame"
+        said = f"The renderer was asked, too: parts of {of}, drawn by chance, were rendered with everything."
+        within = all(frame[f"verified_{what}"] <= bound[what] for frame in verified for what in ("mean", "worst"))
+    if within:
+        return (f"{said} They differ by less than was allowed.",)
+    noise = (
+        "by more than was allowed; noise may be a part of that"
+        if measured
+        else "by more than was allowed, but by no more than noise may make"
+    )
+    return (f"{said} They differ {noise}: more samples would tell.",)
+
+
+def _above(frame: dict[str, Any], bound: dict[str, float], what: str) -> bool:
+    return any(frame.get(f"{what}_{name}", 0.0) > bound[name] for name in ("mean", "worst"))
+
+
+def _where(frames: list[int]) -> str:
+    some = ", ".join(map(str, frames[:8])) + (f" and {len(frames) - 8} more" if len(frames) > 8 else "")
+    return f"A verification found that in frame {some}, beyond what noise may make."

@@ -1,0 +1,49 @@
+"""`lipac report`: the page anew, without Blender."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lipac.core.page import html
+from lipac.scripts.command.page import leave
+from lipac.scripts.lipac import main
+
+from ..core.page.folder import Page, frame, rendered
+
+
+def test_it_writes_the_page_and_says_where(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    rendered(tmp_path / "out", frame())
+    rendered(tmp_path / "full", frame(culled=0), policy="none")
+    assert main(["report", str(tmp_path / "out"), "--full", str(tmp_path / "full")]) == 0
+    assert capfd.readouterr().out.strip() == str(tmp_path / "out" / "report.html")
+    assert Page.of((tmp_path / "out" / "report.html").read_text()).all("input")
+
+
+def test_it_needs_no_blender(tmp_path: Path) -> None:
+    rendered(tmp_path, frame())
+    code = "import sys; from lipac.scripts.lipac import main; "
+    code += f"assert main(['report', {str(tmp_path)!r}]) == 0; assert 'bpy' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+
+def test_a_folder_without_report_is_bad_input(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(tmp_path)]) == 2
+    error = capfd.readouterr().err
+    assert error.count("\n") == 1 and "no report.json" in error
+
+
+def test_where_libraries_are_missing_a_line_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As in Blender's own Python: the command goes on to its end, and the page can be written elsewhere."""
+    rendered(tmp_path, frame())
+    monkeypatch.setattr(html, "LIBRARIES", ("no_such_library",))
+    leave(tmp_path)
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1 and "no_such_library" in said and f"lipac report {tmp_path}" in said
+    assert not (tmp_path / "report.html").exists()
+    assert main(["report", str(tmp_path)]) == 2
