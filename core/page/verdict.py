@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from .html import percent
+
 GOOD, FAIR, BAD = "good", "fair", "bad"
 
 
@@ -94,23 +96,21 @@ def _compared(
     measured: tuple[float, float] | None,
 ) -> tuple[str, ...]:
     """How the renderer's pictures stand to the bounds."""
-    if not verified and measured is None:
-        return ("This is what the analysis states by its own light paths. The renderer was not asked: --verify does.",)
     if measured is not None:
-        said = "The renderer was asked, too: it rendered everything."
-        within = measured[0] <= bound["mean"] and measured[1] <= bound["worst"]
-    else:
-        of = f"{len(verified)} of {len(frames)} frames" if len(frames) > 1 else "the frame"
-        said = f"The renderer was asked, too: parts of {of}, drawn by chance, were rendered with everything."
-        within = all(frame[f"verified_{what}"] <= bound[what] for frame in verified for what in ("mean", "worst"))
-    if within:
+        found = f"{percent(measured[0])} in the mean and {percent(measured[1])} in the worst tile"
+        said = f"The renderer was asked, too: its pictures with everything and culled differ by {found}"
+        if measured[0] <= bound["mean"] and measured[1] <= bound["worst"]:
+            return (f"{said}, which is less than was allowed.",)
+        return (f"{said}, which is more than was allowed; noise may be a part of that, and more samples would tell.",)
+    if not verified:
+        return ("This is what the analysis states by its own light paths. The renderer was not asked: --verify does.",)
+    of = f"{len(verified)} of {len(frames)} frames" if len(frames) > 1 else "the frame"
+    said = f"The renderer was asked, too: parts of {of}, drawn by chance, were rendered with everything and culled."
+    if all(frame[f"verified_{what}"] <= bound[what] for frame in verified for what in ("mean", "worst")):
         return (f"{said} They differ by less than was allowed.",)
-    noise = (
-        "by more than was allowed; noise may be a part of that"
-        if measured
-        else "by more than was allowed, but by no more than noise may make"
+    return (
+        f"{said} They differ by more than was allowed, but by no more than noise may make: more samples would tell.",
     )
-    return (f"{said} They differ {noise}: more samples would tell.",)
 
 
 def _above(frame: dict[str, Any], bound: dict[str, float], what: str) -> bool:

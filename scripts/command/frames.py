@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import gc
-import math
 import os
 import sys
 from pathlib import Path
@@ -119,7 +118,7 @@ def do_frames(
             )
         report.note(report.warnings, missing_libraries())
         run(job, report, progress, cancelled)
-        progress(math.nan, "writing report.html")
+        progress(1.0, "writing report.html")
         leave(args.output)
     say(report.table(), sys.stdout)
     for kind, lines in (("warning", report.warnings), ("approximated", report.approximated)):

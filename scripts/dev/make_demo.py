@@ -10,12 +10,14 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...core.page.report_page import write
 from ..studies import compare
 from ..studies.compare import CULLED, FULL, OTHER_SEED
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write full.png, culled.png, flip.png, tlas.png and report.json, and print the table; returns the exit status."""
+    """Write full.png, culled.png, flip.png, tlas.png, report.json and report.html, and print the table;
+    returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/demo"))
     parser.add_argument("--instances", default="300000")
@@ -49,11 +51,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     report["frames"][0]["error"] = error[CULLED]
     report["demo"] = {"full": full, "culled_process_s": culled["process_s"], "error_between_seeds": error[OTHER_SEED]}
     (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    write(out, out / FULL, out / CULLED)
     say("done")
     print(compare.table(full, culled, error))
     print(
         f"\n{out}: full.png, culled.png, flip.png (their difference), tlas.png (what is active, from outside), "
-        "report.json"
+        "report.json, and report.html, which shows all of it"
     )
     return 0
 

@@ -13,6 +13,7 @@ from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation.judge import picture_change
 from lipac.core.files.report import Report
+from lipac.core.page.pictures import of_crops
 from lipac.lipac_addon.batch import enforcing, session
 from lipac.lipac_addon.batch.job import Job
 from lipac.lipac_addon.batch.pipeline import run
@@ -118,3 +119,41 @@ def test_an_enforced_budget_is_as_much_smaller_as_the_picture_is_above_it() -> N
     entry = Verified(0.02, 0.2, 0.01, 0.1, ()).entry()
     assert enforcing.tightened(job, entry, 0).options.max_error == Budget(0.01 / 8, 0.05 / 8)
     assert enforcing.tightened(job, entry, enforcing.ENFORCED - 1).options.policy == "none"
+
+
+def test_what_is_verified_of_each_tile_is_within_what_is_certified_of_it(boxes: Any, tmp_path: Path) -> None:
+    """A budget that lets boxes go which the camera sees. Upside down the two do not fit."""
+    report = Report("boxes", "", "", "light-paths", "path", 0, 1)
+    options = CullOptions(max_error=Budget(0.05, 0.5))
+    run(Job(tmp_path, (1,), options, "path", samples=64, verify=ALL), report)
+    frame = report.frames[0]
+    with np.load(tmp_path / "states" / "frame_0001.npz") as data:
+        certified = data["certified"].reshape(9, 16)
+    verified = of_crops(frame["verified_crops"], frame["verified_tiles"], GRID)
+    assert frame["culled"] > 0 and verified.max() > 0.1
+    assert (verified <= certified).mean() > 0.97 > (verified <= certified[::-1]).mean()
+    assert verified.max() == pytest.approx(frame["verified_worst"])
+    assert certified.max() <= frame["certified_worst"] + 1e-6
+
+
+@pytest.mark.parametrize("engine", ["cycles", "path"])
+def test_what_was_compared_is_kept(boxes: Any, tmp_path: Path, engine: str) -> None:
+    """Crops lie where they are in the picture; what is not a crop is black."""
+    report = Report("boxes", "", "", "distance", engine, 0, 1)
+    run(Job(tmp_path, (1,), NEAR, engine, samples=4, verify=2), report)
+    rendered = read_picture(tmp_path / "frame_0001.exr")[..., :3]
+    full, culled = (
+        read_picture(tmp_path / "verified" / f"frame_0001_{name}.exr")[..., :3] for name in ("full", "culled")
+    )
+    assert full.shape == culled.shape == rendered.shape
+    height, width = rendered.shape[:2]
+    inside = np.zeros((height, width), bool)
+    for x, y in report.frames[0]["verified_crops"]:
+        place = np.s_[y * height // 3 : (y + 1) * height // 3, x * width // 4 : (x + 1) * width // 4]
+        inside[place] = True
+    assert not full[~inside].any() and not culled[~inside].any()
+    assert full[inside].mean() > 0 and np.abs(full - culled)[inside].mean() > 1e-3
+    if engine == "cycles":  # the path tracer verifies by other random numbers
+        np.testing.assert_allclose(culled[inside], rendered[inside], rtol=0.01, atol=1e-4)
+        assert report.frames[0]["verified_full_s"] > 0 < report.frames[0]["verified_culled_s"]
+    assert (tmp_path / "verified" / "frame_0001_full.png").stat().st_size > 100

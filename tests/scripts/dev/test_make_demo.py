@@ -25,6 +25,10 @@ def test_demo_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> N
     assert frame["instances"] > 1500 > frame["active"] > 0
     assert frame["error"]["flip"] < report["demo"]["error_between_seeds"]["flip"]
     assert frame["error"]["relmse"] < report["demo"]["error_between_seeds"]["relmse"]
+    page = (tmp_path / "report.html").read_text()
+    assert f"Its mean is {frame['error']['flip']:.3f} of 1" in page
+    assert page.count("<img") == 6  # before, after, under both maps of tiles, FLIP, from outside
+    assert f"{frame['active']:,}" in page
     table = capfd.readouterr().out
     for word in (
         "instances",
