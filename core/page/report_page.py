@@ -94,6 +94,8 @@ def page(
         "saving": saving(report, full) if full else "",
         "full_device": _full_device(full) if full else "",
         "stages": STAGES,
+        "most": max((one["totals"][name] for one in (report, full) if one for name in (*STAGES, "wall_s")), default=0)
+        or 1.0,  # seconds that a bar of full length stands for
         "shown": shown,
         "pictures": seen,
         "outside": None if outside is None else embed(outside),

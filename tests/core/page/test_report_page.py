@@ -234,7 +234,10 @@ def test_damaged_files_are_left_out(tmp_path: Path, lost: str) -> None:
     assert "317" in text
 
 
-@pytest.mark.parametrize("frames", [(), (frame(),), (frame(1), frame(2))])
+BARE = {"frame": 3}  # what a report fills in is all that is sure
+
+
+@pytest.mark.parametrize("frames", [(), (frame(),), (frame(1), frame(2)), (BARE,), (BARE, frame(4)), (frame(2), BARE)])
 @pytest.mark.parametrize("policy", ["light-paths", "distance", "none"])
 def test_any_report_has_a_page(tmp_path: Path, frames: tuple[dict[str, Any], ...], policy: str) -> None:
     if policy != "light-paths":
