@@ -40,7 +40,7 @@ class Tlas:
         self._index = np.ascontiguousarray(entry_mesh, np.uint32)
         # columns, as Embree wants them
         self._transform = np.ascontiguousarray(instances.transform[self.ids].transpose(0, 2, 1))
-        self._only = np.zeros(1, np.uint32)
+        self._only, self._entry_of = np.zeros(1, np.uint32), np.zeros(0, np.int32)
         scene, unreported = device.new_scene(embree.SCENE_ROBUST), 0
         for mask, a, b in zip(groups.tolist(), self.first[:-1].tolist(), self.first[1:].tolist(), strict=True):
             geometry = lib.rtcNewGeometry(device.handle, embree.GEOMETRY_INSTANCE_ARRAY)
@@ -61,6 +61,13 @@ class Tlas:
         built = device.commit(scene, f"build the TLAS over {len(self.ids):,} instances")
         self.handle = np.uint64(scene)
         self.bytes = built + self._transform.nbytes + self._index.nbytes + self._scenes.nbytes
+
+    def entry_of(self, instances: int) -> I32:
+        """(instances,) int32: the entry of each instance, -1 where it is not in here. Made once: tracing asks often."""
+        if len(self._entry_of) != instances:
+            self._entry_of = np.full(instances, -1, np.int32)
+            self._entry_of[self.ids] = np.arange(len(self.ids), dtype=np.int32)
+        return self._entry_of
 
     def __len__(self) -> int:
         return len(self.ids)

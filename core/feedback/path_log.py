@@ -91,9 +91,13 @@ def numbers(only: NDArray[np.uint8]) -> I64:
     return np.flatnonzero(only.reshape(-1) != 0)  # of bool: ten times faster than of bytes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def renumber(records, only, entries):
+def renumber(records: I32, only: NDArray[np.uint8], entries: I32) -> None:
     """Write other numbers into those records (P, RECORD) that only, (P,), marks, in place: entries[e] for entry e."""
+    over_parts(lambda a, b: _renumber(records[a:b], only[a:b], entries), len(records))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _renumber(records, only, entries):
     for p in range(len(records)):
         if only[p] == 0:
             continue

@@ -152,8 +152,7 @@ def trace(
         addresses[state.A_LOG] = address(log.records) if feedback is not None else 0
     entries = np.zeros(0, np.int32)
     if feedback is not None and (feedback.weights is not None or log is not None):
-        entries = np.full(len(scene.instances), -1, np.int32)  # of emitters, that light sampling finds
-        entries[tlas.ids] = np.arange(len(tlas), dtype=np.int32)
+        entries = tlas.entry_of(len(scene.instances))  # of emitters, that light sampling finds
         addresses[state.A_ENTRIES] = address(entries)
     if only is not None:
         addresses[state.A_ONLY] = address(only)
