@@ -8,9 +8,10 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files.atomic import replacing, sweep
+from ...core.page.html import missing
 from ...version import __version__
 from .analyse import note_of
-from .certificate_page import page
+from .certificate_page import page, worst_of
 from .layout import FarmShot, read_json, rendered_from, write_json
 from .verify import ALL, of_sample
 
@@ -63,8 +64,11 @@ def certify(shot: FarmShot) -> dict[str, Any]:
     }
     certificate["statement"] = statement(certificate)
     write_json(shot.folder / "certificate.json", certificate)
-    with replacing(shot.folder / "certificate.html") as part:
-        part.write_text(page(certificate), encoding="utf-8")
+    if not missing():
+        worst = worst_of(certificate)
+        picture = None if worst is None else shot.picture(certificate["frames"][worst]["frame"])
+        with replacing(shot.folder / "certificate.html") as part:
+            part.write_text(page(certificate, picture), encoding="utf-8")
     return certificate
 
 
@@ -192,9 +196,8 @@ def statement(certificate: dict[str, Any]) -> list[str]:
 
 def summary(certificate: dict[str, Any]) -> str:
     """For the terminal."""
-    return "\n".join(
-        [
-            *certificate["statement"],
-            f"certificate.html and certificate.json hold what was found of {len(certificate['frames'])} frames",
-        ]
-    )
+    lost = missing()
+    files = "certificate.json holds" if lost else "certificate.html and certificate.json hold"
+    why = f"; there is no certificate.html, for this Python has no {', '.join(lost)}" if lost else ""
+    found = f"{files} what was found of {len(certificate['frames'])} frames{why}"
+    return "\n".join([*certificate["statement"], found])
