@@ -42,7 +42,7 @@ def main(argv: Sequence[str]) -> int:
         type=Path,
         required=True,
         metavar="DIR",
-        help="folder for tables, plots, pictures and report.md",
+        help="folder for tables, plots, pictures, report.md and report.html",
     )
     parser.add_argument(
         "--all",

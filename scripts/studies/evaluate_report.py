@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,8 +13,15 @@ from ...core.culling.policies import RULES
 from ...core.evaluation.evaluate import BUDGETS, COUNTS, ORACLE, OURS, RANDOM, Evaluation
 from ...core.files.atomic import replacing
 from ...core.files.report import size
+from ...core.page.curves import svg_of
+from ...core.page.html import Figures, render
+from ...core.page.pictures import embed, opened
+from ...core.page.verdict import BAD, GOOD, Verdict
 from .compare import markdown
 from .hybrid.report import sections
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _COLORS, _MARKERS = (
     ("tab:blue", "tab:green", "tab:purple", "tab:olive", "tab:cyan", "tab:brown"),
@@ -36,7 +43,7 @@ Summary = dict[str, Any]
 
 
 def write(folder: Path, summary: Summary, evaluation: Evaluation) -> None:
-    """evaluation.json, evaluation.csv, plots, pictures, report.md."""
+    """evaluation.json, evaluation.csv, plots, pictures, report.md, report.html."""
     with replacing(folder / "evaluation.json") as path:
         path.write_text(json.dumps(summary, indent=1, default=float) + "\n")
     columns = list(dict.fromkeys(key for row in summary["rows"] for key in row))
@@ -47,18 +54,42 @@ def write(folder: Path, summary: Summary, evaluation: Evaluation) -> None:
             {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()}
             for row in summary["rows"]
         )
-    plots(folder, summary)
+    figures = plots(summary)
+    for name, figure in figures.items():
+        with replacing(folder / f"error_{name}.png") as path:
+            figure.savefig(path, dpi=80)
     pictures(folder, summary, evaluation)
     with replacing(folder / "report.md") as path:
         path.write_text(report(summary))
+    with replacing(folder / "report.html") as path:
+        path.write_text(page(summary, figures, folder / "pictures.png"), encoding="utf-8")
 
 
-def plots(folder: Path, summary: Summary) -> None:
+def page(summary: Summary, figures: dict[str, Figure], sheet: Path) -> str:
+    """report.html: the same as report.md, with figures by `plots` and the sheet of pictures inside."""
+    entries = summary["equal_error"]
+    broken = [percent(e["error"]) for e in entries if not e["holds"]]
+    within = f"Within {len(entries) - len(broken)} of {len(entries)} error budgets"
+    shown = opened(sheet)
+    return render(
+        "evaluation.html",
+        fig=Figures(summary),
+        summary=summary,
+        verdict=Verdict(BAD if broken else GOOD, within, (f"Not within {', '.join(broken)}.",) if broken else ()),
+        lines=[line for e in entries for line in verdict(e)],
+        rules=", ".join(RULES),
+        sheet=None if shown is None else embed(shown),
+        curves=[(f"Error against {name}", svg_of(figure, name)) for name, figure in figures.items()],
+    )
+
+
+def plots(summary: Summary) -> dict[str, Figure]:
     """Error against memory, time and active share: mean change and HDR-FLIP, with the noise floor of another seed."""
     from matplotlib.figure import Figure
 
+    out = {}
     for name, (label, cost) in AXES.items():
-        figure = Figure(figsize=(11, 4.2), layout="constrained")
+        out[name] = figure = Figure(figsize=(11, 4.2), layout="constrained")
         for axes, key, text in zip(
             figure.subplots(1, 2), ("mean", "flip"), ("mean relative change of tiles", "HDR-FLIP"), strict=True
         ):
@@ -85,8 +116,7 @@ def plots(folder: Path, summary: Summary) -> None:
             axes.grid(alpha=0.3)
         figure.axes[0].legend(fontsize=7)
         figure.suptitle(f"{summary['scene']}, {summary['instances']:,} instances")
-        with replacing(folder / f"error_{name}.png") as path:
-            figure.savefig(path, dpi=80)
+    return out
 
 
 def shown(picture: np.ndarray) -> np.ndarray:

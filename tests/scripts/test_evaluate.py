@@ -12,6 +12,8 @@ from matplotlib.image import imread
 from lipac.core.evaluation import evaluate, oracle
 from lipac.scripts import lipac
 
+from ..core.page.folder import Page
+
 
 def test_evaluate_end_to_end(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -54,6 +56,11 @@ def test_evaluate_end_to_end(
     assert report.rstrip() in shown.out
     for word in ("oracle", "heuristic", "Budget check", "Paths and boxes"):
         assert word in report
+    page = Page.of((out / "report.html").read_text())
+    figures = {e.attributes["data-of"]: float(e.attributes["value"]) for e in page.all("data")}
+    for k, entry in enumerate(summary["equal_error"]):
+        assert figures[f"equal_error/{k}/mean"] == entry["mean"]
+    assert len(page.all("svg")) == 3 + 1 and len(page.all("img")) == 1
     assert lipac.main([*command, "--quiet"]) == 0  # from what is there
     assert json.loads((out / "evaluation.json").read_text())["equal_error"] == summary["equal_error"]
 

@@ -55,9 +55,10 @@ def rich(tmp_path: Path) -> tuple[Path, Path]:
     found = verified(folder, [[0, 0], [3, 2]], number=2)
     rendered(folder, frame(1), frame(2, certified_mean=0.0077, **found), frame(3, active=290))
     with (folder / "memory.csv").open("w", newline="") as file:
-        csv.writer(file).writerows(
-            [("object", "bytes", "worth"), ("tree", 30_000_000, 0.2), ("tower", 70_000_000, 0.01)]
-        )
+        head = ("kind", "name", "bytes", "full_bytes", "instances", "kept", "worth", "why")
+        tree = ("object", "tree", 30_000_000, 30_000_000, 900, 900, 0.2, "met by light paths")
+        tower = ("object", "tower", 0, 70_000_000, 12, 0, "", "worth less than others")
+        csv.writer(file).writerows([head, tree, tower, ("image", "bark", 4_000_000, 8_000_000, 3, 2, 0.1, "")])
     nothing = {"active": 4000, "culled": 0, "trace_s": 0.0, "render_s": 21.5, "device_bytes": 195_000_000}
     full = [{k: v for k, v in frame(n, **nothing).items() if not k.startswith(("certif", "conf"))} for n in (1, 3)]
     return folder, rendered(tmp_path / "full", *full, policy="none")
@@ -221,7 +222,8 @@ def test_memory_is_listed_by_who_takes_most(tmp_path: Path) -> None:
     text, page = page_of(folder, full)
     heads = [e.text for e in page.all("th")]
     assert heads.index("tower") < heads.index("tree")
-    assert "70 MB" in text
+    assert "70 MB" in text and "bark (image)" in text and "worth less than others" in text
+    assert "Objects: 30 MB, with everything 100 MB" in [e.text for e in page.all("h3")]
     (folder / "memory.csv").write_text("not,a\ntable")
     assert "Who takes the memory" not in page_of(folder, full)[0]
 
