@@ -80,7 +80,7 @@ def _embedded(picture: Image, widest: int, kind: str) -> Embedded:
     if picture.width > widest:
         picture = picture.resize((widest, max(round(picture.height * widest / picture.width), 1)))
     data = io.BytesIO()
-    picture.save(data, kind, optimize=True, **({"quality": 80} if kind == "JPEG" else {}))
+    picture.save(data, kind, **({"quality": 80} if kind == "JPEG" else {}))
     uri = f"data:image/{kind.lower()};base64,{base64.b64encode(data.getbuffer()).decode()}"
     return Embedded(uri, picture.width, picture.height, of)
 
