@@ -167,6 +167,11 @@ def test_without_a_full_picture_the_page_says_how_to_get_one(tmp_path: Path) -> 
     assert "--verify" in text and "--full" in text
 
 
+def test_where_the_pictures_are_elsewhere_the_page_says_so(tmp_path: Path) -> None:
+    report(frame()).write(tmp_path)
+    assert "--as-scene" in page_of(tmp_path)[0]
+
+
 def test_wide_pictures_are_made_smaller_and_that_is_said(tmp_path: Path) -> None:
     rendered(tmp_path, frame())
     Image.new("RGB", (2 * WIDEST, 400), FULL).save(tmp_path / "frame_0001.png")
