@@ -40,7 +40,7 @@ FLOORS = (
     "lipac_addon.extract.materials",
     "lipac_addon.extract.geometry",
     "lipac_addon.extract",
-    "lipac_addon.open lipac_addon.raster lipac_addon.writeback",
+    "lipac_addon.open lipac_addon.raster lipac_addon.writeback lipac_addon.memory",
     "lipac_addon.batch.engines",
     "lipac_addon.demo lipac_addon.batch",
     "lipac_addon.farm",

@@ -23,6 +23,7 @@ from ..arrays import F32, F64, I32, I64, U8, Records
 from ..errors import InputError
 from ..progress import clock
 from .atomic import alone, check_writable, replacing
+from .memory_table import MemoryRow, merged, read_rows, write_rows
 from .usage import peak_memory
 
 SCHEMA = 1
@@ -90,6 +91,8 @@ class Report:
     broken: a verification found that a frame's change is above its budget. began: `time.monotonic()` when the command
     began, None where its seconds are those of its steps alone.
 
+    memory: who takes the memory of a render, of all frames, for memory.csv.
+
     A folder may be filled by several commands, one after the other or at the same time: the file keeps the frames of
     all that had the same header, but for the number of threads.
     """
@@ -107,13 +110,25 @@ class Report:
     warnings: list[str] = field(default_factory=list)
     began: float | None = None
     broken: bool = False
+    memory: list[MemoryRow] = field(default_factory=list)
     _counted: float = field(default=0.0, init=False, repr=False)
 
-    def add_frame(self, frame: dict[str, Any], approximated: Iterable[str] = (), warnings: Iterable[str] = ()) -> None:
-        """Add a finished frame and what was noticed in it."""
+    def add_frame(
+        self,
+        frame: dict[str, Any],
+        approximated: Iterable[str] = (),
+        warnings: Iterable[str] = (),
+        memory: Iterable[MemoryRow] = (),
+    ) -> None:
+        """Add a finished frame, what was noticed in it, and who takes the memory of its render."""
         self.frames.append(dict.fromkeys(FIELDS, 0) | frame)
+        self.add_memory(memory)
         self.note(self.approximated, approximated)
         self.note(self.warnings, warnings)
+
+    def add_memory(self, rows: Iterable[MemoryRow]) -> None:
+        """Take in who takes the memory of a frame's render."""
+        self.memory = merged([*self.memory, *rows])
 
     @staticmethod
     def note(lines: list[str], new: Iterable[str]) -> None:
@@ -195,7 +210,10 @@ class Report:
                 }
                 for name in ("approximated", "warnings"):
                     data[name] = list(dict.fromkeys([*found[name], *data[name]]))
+                self.memory = merged([*self.memory, *read_rows(folder)])
             self._counted = self.seconds()
+            if self.memory:
+                write_rows(folder, self.memory)
             with replacing(folder / "report.json") as part:
                 part.write_text(json.dumps(data, indent=1, default=_number) + "\n")
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files.atomic import replacing
+from ...core.files.memory_table import MemoryRow, read_rows
 from ...core.files.report import UNREADABLE, States, load_states
 from .job import Cancel, check
 
@@ -23,12 +24,14 @@ TICK = 0.02  # seconds between looks at what the process has done
 
 @dataclass(frozen=True)
 class Analysed:
-    """What the process says of a frame. entry, approximated, warnings: of its report."""
+    """What the process says of a frame. entry, approximated, warnings, memory: of its report, the last of all frames so
+    far."""
 
     states: States
     entry: dict[str, Any]
     approximated: tuple[str, ...]
     warnings: tuple[str, ...]
+    memory: list[MemoryRow]
 
 
 class Ahead:
@@ -97,7 +100,7 @@ class Ahead:
             shutil.copyfile(states, part)
         states.unlink()
         entry["analysis_peak_bytes"] = report["totals"]["peak_bytes"]
-        return Analysed(read, entry, tuple(report["approximated"]), tuple(report["warnings"]))
+        return Analysed(read, entry, tuple(report["approximated"]), tuple(report["warnings"]), read_rows(folder))
 
     def _last_words(self, frame: int) -> str:
         lines = self._errors.read_text(errors="replace").strip().splitlines()

@@ -7,16 +7,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import bpy
 import numpy as np
 
 from ...core.arrays import F32, F64, I64, U8, Records
 from ...core.culling.options import State
 from ...core.errors import NothingToAnalyse
+from ...core.files.memory_table import MemoryRow
 from ...core.files.report import States, save_states
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import RAY_TYPES
 from ..extract import Extraction
 from ..keys import KEY, Keys
+from ..memory.rows import NOTHING_KEPT, Weighed
 from .enforcing import verified
 from .job import Cancel, check, never
 from .session import Session
@@ -33,7 +36,7 @@ SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays"
 class Decided:
     """What was decided on a frame, for all its view layers. state (N,), score (N,), hits (N, RAY_TYPES), boxes (H, 2,
     3): as of `CullingResult`, boxes in the world; records, names: its keys; entry: for the report; faces: as of
-    `States`; tiles: as of `CullingResult`."""
+    `States`; tiles: as of `CullingResult`; weighed: of each view layer."""
 
     state: U8
     score: F32
@@ -46,11 +49,18 @@ class Decided:
     warnings: tuple[str, ...] = ()
     faces: Mapping[str, np.ndarray] = field(default_factory=dict)
     tiles: F32 | None = None
+    weighed: tuple[Weighed, ...] = ()
 
     @property
     def keys(self) -> Keys:
         """Of the N instances."""
         return Keys(self.records, self.names)
+
+    def memory(self, removed: np.ndarray | None = None, reasons: Mapping[str, str] = NOTHING_KEPT) -> list[MemoryRow]:
+        """Who takes the memory of a render. removed: (N,) bool, what it has not, where that is known; reasons: why
+        other things stay although they are culled. Of several view layers each by itself, as it was decided."""
+        one = len(self.weighed) == 1
+        return [row for layer in self.weighed for row in layer.rows(removed if one else None, reasons)]
 
     def save(self, path: Path, note: str = "") -> None:
         """As a file of states."""
@@ -71,6 +81,8 @@ def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, A
     boxes = result.boxes + scene.origin
     lines = scene.approximated, (*extraction.warnings, *result.warnings)
     faces = {keys.names[keys.records["object"][row]]: mask for row, mask in result.faces.items()}
+    weighed = (Weighed.of(extraction, result, entry["frame"], bpy.context.scene),)
+    entry = entry | result.stats
     return Decided(
         result.state,
         result.score,
@@ -78,10 +90,11 @@ def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, A
         boxes,
         keys.records,
         keys.names,
-        entry | result.stats,
+        entry,
         *lines,
         faces,
         result.tiles,
+        weighed,
     )
 
 
@@ -177,6 +190,6 @@ def _united(parts: Sequence[Decided]) -> Decided:
     by_layer = [one.tiles for one in parts if one.tiles is not None]
     tiles: F32 | None = np.asarray(np.max(by_layer, axis=0)) if len(by_layer) == len(parts) else None
     boxes, keys = np.concatenate([one.boxes for one in parts]), together.keys
-    return Decided(
-        state, score, hits, boxes, keys.records, keys.names, entry, lines[0], lines[1], together.faces, tiles
-    )
+    weighed = tuple(layer for one in parts for layer in one.weighed)
+    names, faces = keys.names, together.faces
+    return Decided(state, score, hits, boxes, keys.records, names, entry, lines[0], lines[1], faces, tiles, weighed)

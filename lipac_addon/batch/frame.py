@@ -15,6 +15,7 @@ import numpy as np
 
 from ...core.culling.options import State
 from ...core.error_budget.budget import Budget
+from ...core.files.memory_table import MemoryRow
 from ...core.files.report import Report, save_states
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import RAY_TYPES, Scene
@@ -23,6 +24,7 @@ from ..console import muted
 from ..depsgraph import show_frame
 from ..extract import Extraction
 from ..keys import Keys
+from ..writeback import WritebackResult
 from .ahead import Ahead
 from .deciding import Decided, decide_layers, decided_of
 from .enforcing import ENFORCED, broken, measured, tightened, verified
@@ -55,11 +57,8 @@ def run_frame_ahead(
     show_frame(bpy.context.scene, frame)
     kept = ShotSet()
     kept.add(found.states)
-    outcome = Outcome(
-        found.entry,
-        found.approximated,
-        (*found.warnings, *write_back(~kept.active, kept.keys, found.entry, kept.faces)),
-    )
+    lines, _ = write_back(~kept.active, kept.keys, found.entry, kept.faces)
+    outcome = Outcome(found.entry, found.approximated, (*found.warnings, *lines), found.memory)
     rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
     outcome.entry.update(render(job, frame, rest).entry())
     outcome.entry.update(verified(job, frame, None, None, rest, cancelled))
@@ -102,16 +101,17 @@ def _report(job: Job, outcome: Outcome, report: Report) -> None:
     if budget is not None and broken(outcome.entry, budget):
         report.broken = True
         outcome = outcome.warned(measured(outcome.entry).warning(budget))
-    report.add_frame(outcome.entry, outcome.approximated, outcome.warnings)
+    report.add_frame(outcome.entry, outcome.approximated, outcome.warnings, outcome.memory)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a frame's work came to: its entry for the report, and lines for the user."""
+    """What a frame's work came to: its entry for the report, lines for the user, and rows of memory.csv."""
 
     entry: dict[str, Any]
     approximated: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    memory: Sequence[MemoryRow] = ()
 
     def warned(self, line: str) -> Outcome:
         """With one line more."""
@@ -122,18 +122,16 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
     """Decide, render and verify a frame."""
     job = sessions[0].job
     if job.whole:
-        return Outcome(_render_whole(job, frame, progress))
+        return _render_whole(job, frame, progress)
     if job.engine in ("", *BLENDER_ENGINES):
         within = part(progress, 0.0, ANALYSIS_SHARE if job.engine else 1.0)
         decided = decide_layers(sessions, frame, last, within, cancelled)
         decided.save(job.states(frame))
         entry, warnings = decided.entry, decided.warnings
         if job.engine:
-            warnings = (
-                *warnings,
-                *write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry, decided.faces),
-            )
-            approximated = decided.approximated
+            lines, applied = write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry, decided.faces)
+            warnings, approximated = (*warnings, *lines), decided.approximated
+            memory = decided.memory(applied.removed, applied.reasons)
             del decided
             for session in sessions if last else ():
                 session.close()  # the render needs the memory
@@ -141,10 +139,10 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
             rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
             entry |= render(job, frame, rest).entry()
             entry |= verified(job, frame, None, None, rest, cancelled)
-            return Outcome(entry, approximated, warnings)
-        return Outcome(entry, decided.approximated, warnings)
+            return Outcome(entry, approximated, warnings, memory)
+        return Outcome(entry, decided.approximated, warnings, decided.memory())
     decided = _by_ours(sessions[0], frame, progress, cancelled, last)
-    return Outcome(decided.entry, decided.approximated, decided.warnings)
+    return Outcome(decided.entry, decided.approximated, decided.warnings, decided.memory())
 
 
 def _by_ours(session: Session, frame: int, progress: Progress, cancelled: Cancel, last: bool) -> Decided:
@@ -201,9 +199,8 @@ def render(job: Job, frame: int, progress: Progress) -> Rendered:
     return render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, progress, device=job.device)
 
 
-def _render_whole(job: Job, frame: int, progress: Progress) -> dict[str, Any]:
-    """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed. Returns the
-    entry for the report."""
+def _render_whole(job: Job, frame: int, progress: Progress) -> Outcome:
+    """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed."""
     show_frame(bpy.context.scene, frame)
     with counting() as counted:
         rendered = render(job, frame, part(progress, 0.0, 1.0, "rendering, "))
@@ -218,18 +215,13 @@ def _render_whole(job: Job, frame: int, progress: Progress) -> dict[str, Any]:
         counted.keys.names,
     )
     counts = {"instances": n, "active": n, "meshes": counted.meshes}
-    return {
-        "frame": frame,
-        "sync_s": counted.seconds,
-        **rendered.entry(),
-        "render_s": rendered.seconds - counted.seconds,
-        **counts,
-    }
+    seconds = {"sync_s": counted.seconds, **rendered.entry(), "render_s": rendered.seconds - counted.seconds}
+    return Outcome({"frame": frame, **seconds, **counts}, memory=counted.memory(frame))
 
 
 def write_back(
     culled: np.ndarray, keys: Keys, entry: dict[str, Any], faces: Mapping[str, np.ndarray], lasting: bool = False
-) -> list[str]:
+) -> tuple[list[str], WritebackResult]:
     """Take culled (N,) bool out of renders of the open file; what that came to goes into the frame's entry, what could
     not be is said in the lines returned.
 
@@ -241,4 +233,5 @@ def write_back(
     entry["writeback_s"] = time.perf_counter() - start
     entry["writeback"] = applied.summary()
     whole = [f"{count:,} objects keep all faces in the render: {why}" for why, count in applied.whole.items()]
-    return [f"{count:,} culled instances stay in the render: {why}" for why, count in applied.kept.items()] + whole
+    kept = [f"{count:,} culled instances stay in the render: {why}" for why, count in applied.kept.items()]
+    return kept + whole, applied

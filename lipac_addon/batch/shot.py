@@ -48,9 +48,8 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
         shot.add(needed(frame))
     if job.save is not None or job.engine in BLENDER_ENGINES:
         written: dict[str, Any] = {}
-        report.note(
-            report.warnings, write_back(~shot.active, shot.keys, written, shot.faces, lasting=job.save is not None)
-        )
+        lines, _ = write_back(~shot.active, shot.keys, written, shot.faces, lasting=job.save is not None)
+        report.note(report.warnings, lines)
     if job.save is not None:
         save_baked(job.save)
     with Session(job) as session:
@@ -143,6 +142,7 @@ def _analyse(job: Job, report: Report, progress: Progress, cancelled: Cancel) ->
             with alone(job.folder):
                 if not is_whole(job.analysis(frame)):
                     decided.save(job.analysis(frame), json.dumps(decided.entry, default=float))
+            report.add_memory(decided.memory())
             report.note(report.approximated, decided.approximated)
             report.note(report.warnings, decided.warnings)
             report.write(job.folder)

@@ -48,6 +48,7 @@ class Extraction:
     change: Change | None = None
     scatters: dict[str, F32] = field(default_factory=dict)
     moments: tuple[float, ...] = ()
+    materials: tuple[str | None, ...] = ()  # full names, None: the default, by the numbers of `Scene.slot_materials`
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class Frame:
     warnings: tuple[str, ...]
     scatters: dict[str, F32]
     moments: tuple[float, ...] = ()
+    materials: tuple[str | None, ...] = ()
 
     def exposed(self, shutter: Shutter) -> Frame:
         """With the cameras of an exposure."""
@@ -155,16 +157,8 @@ class SceneReader:
             for n in nodes
             if n.kind == Kind.GEOMETRY_NODES and n.geometry is not None
         }
-        return Frame(
-            result,
-            placed,
-            shading,
-            deformed,
-            replaced,
-            Keys(placed.rows.records, tuple(graph.names)),
-            tuple(warnings),
-            scatters,
-        )
+        keys, names = Keys(placed.rows.records, tuple(graph.names)), tuple(graph.geometry.slots.order)
+        return Frame(result, placed, shading, deformed, replaced, keys, tuple(warnings), scatters, (), names)
 
     def finish(self, frame: Frame, world: ExtractedWorld) -> Extraction:
         """A frame with its world, and what changed since the last one."""
@@ -192,7 +186,7 @@ class SceneReader:
             shades = frame.shading is not shading or not _same_light(scene, last)
             change = Change(previous, moved, frame.deformed, frame.replaced, shades, not _same_view(scene, last))
         self._placed, self._last = frame.placed, (scene, frame.shading)
-        return Extraction(scene, frame.keys, warnings, change, frame.scatters, frame.moments)
+        return Extraction(scene, frame.keys, warnings, change, frame.scatters, frame.moments, frame.materials)
 
     @staticmethod
     def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, None]) -> Records:

@@ -41,6 +41,7 @@ class WritebackResult:
     objects, hosts, particle_hosts, sources: numbers of hidden objects, of masked geometry-nodes hosts, of emitters
     switched off, of objects emptied. face_hosts, faces_removed: numbers of objects that lost faces, and of these;
     whole: objects that should have, counted by the reason.
+    reasons: why, by full name of objects of which culled instances could not be removed.
     """
 
     removed: NDArray[np.bool_]
@@ -52,6 +53,7 @@ class WritebackResult:
     faces_removed: int
     whole: dict[str, int]
     sources: int
+    reasons: dict[str, str]
 
     def summary(self) -> dict[str, object]:
         """For the report: plain numbers."""
@@ -100,7 +102,15 @@ def apply(
     emitters = len({e.name_full for e, _ in plan.particle_modifiers})
     cut = len(plan.faces), sum(int(np.count_nonzero(gone)) for _, gone in plan.faces)
     result = WritebackResult(
-        plan.removed, plan.kept, len(plan.objects), len(plan.masks), emitters, *cut, plan.whole, len(plan.sources)
+        plan.removed,
+        plan.kept,
+        len(plan.objects),
+        len(plan.masks),
+        emitters,
+        *cut,
+        plan.whole,
+        len(plan.sources),
+        plan.reasons,
     )
     try:
         _write(plan, places or {}, in_render)

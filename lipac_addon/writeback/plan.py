@@ -56,7 +56,8 @@ class Plan:
     switch off; sources: objects to empty.
 
     faces: objects and (F,) bool faces to delete. removed: (N,) bool, the instances that go; kept: culled ones that
-    stay, by reason; whole: objects that keep all faces, by reason.
+    stay, by reason; whole: objects that keep all faces, by reason; reasons: why, by name of objects of which culled
+    instances stay.
     """
 
     objects: tuple[bpy.types.Object, ...]
@@ -67,6 +68,7 @@ class Plan:
     removed: Mask
     kept: dict[str, int]
     whole: dict[str, int]
+    reasons: dict[str, str]
 
 
 def make_plan(
@@ -81,7 +83,7 @@ def make_plan(
     """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render, faces, free: as
     of `apply`."""
     if not culled.any() and not faces:
-        return Plan((), (), (), (), (), np.zeros(len(culled), bool), {}, {})
+        return Plan((), (), (), (), (), np.zeros(len(culled), bool), {}, {}, {})
     return _Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan(faces, free)
 
 
@@ -164,7 +166,8 @@ class _Planner:
         sources = tuple(self.sources()) if free else ()
         whole: Counter[str] = Counter()
         cut = tuple(self.faces(faces, {*hidden.values(), *sources}, whole))
-        return Plan(tuple(hidden.values()), masks, particles, sources, cut, self.removed, self.kept(), dict(whole))
+        kept, reasons = self.kept()
+        return Plan(tuple(hidden.values()), masks, particles, sources, cut, self.removed, kept, dict(whole), reasons)
 
     def hidden_objects(self) -> dict[int, bpy.types.Object]:
         """Objects to hide by their name index."""
@@ -320,22 +323,21 @@ class _Planner:
         for n, instances in zip(numbers, np.split(chosen[order], first[1:]), strict=False):
             yield int(n), instances
 
-    def kept(self) -> dict[str, int]:
-        """Culled instances that stay, by reason."""
+    def kept(self) -> tuple[dict[str, int], dict[str, str]]:
+        """Culled instances that stay, by reason; and the reason by the name of the object that they show."""
         rest = np.flatnonzero(self.culled & ~self.removed)
         who = np.stack(
             [self.columns.kind[rest].astype(np.int32), self.columns.host[rest], self.columns.object[rest]], axis=1
         )
         numbers, counts = np.unique(who, axis=0, return_counts=True)
         kept: Counter[str] = Counter()
+        named: dict[str, str] = {}
         for (kind, host, ob), count in zip(numbers, counts, strict=True):
-            reasons = (
-                self.host_reason.get(int(host)),
-                self.object_reason.get(int(host)),
-                self.object_reason.get(int(ob)),
-            )
-            kept[next(filter(None, reasons), _BY_KIND[Kind(int(kind))])] += int(count)
-        return dict(kept.most_common())
+            by_host, own = self.host_reason.get(int(host)), self.object_reason
+            reason = by_host or own.get(int(host)) or own.get(int(ob)) or _BY_KIND[Kind(int(kind))]
+            kept[reason] += int(count)
+            named[self.names[ob if ob >= 0 else host]] = reason
+        return dict(kept.most_common()), named
 
 
 def full_name(ob: bpy.types.Object) -> str:

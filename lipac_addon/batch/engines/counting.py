@@ -5,24 +5,33 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import bpy
 import numpy as np
 
+from ....core.files.memory_table import MemoryRow
 from ...extract.graph import GraphReader
 from ...extract.instances import Placer
 from ...keys import KEY, Keys
+from ...memory.costs import SlotMaterials, named_costs
+from ...memory.rows import Weighed
 
 
 @dataclass
 class Counted:
-    """keys: of all instances; meshes: how many different ones these have; seconds: that counting took."""
+    """keys: of all instances; meshes: how many different ones these have; seconds: that counting took; weighed: what
+    the render takes, of each graph that was counted."""
 
     keys: Keys = field(default_factory=lambda: Keys(np.zeros(0, KEY), ()))
     meshes: int = 0
     seconds: float = 0.0
+    weighed: list[Weighed] = field(default_factory=list)
+
+    def memory(self, frame: int) -> list[MemoryRow]:
+        """Who takes the memory of the render."""
+        return [row for one in self.weighed for row in replace(one, frame=frame).rows()]
 
 
 @contextmanager
@@ -39,6 +48,11 @@ def counting() -> Iterator[Counted]:
             reader = GraphReader()
             rows = Placer(reader, np.zeros(3)).place(reader.read(depsgraph, False)).rows
             counted.keys, counted.meshes = Keys(rows.records, tuple(reader.names)), len(np.unique(rows.mesh))
+            slots = SlotMaterials(reader.geometry.slots.table(), tuple(reader.geometry.slots.order))
+            sources = reader.geometry.meshes.sources
+            named = named_costs(sources, rows.mesh, rows.slots, rows.records, slots, bpy.context.scene)
+            counted.weighed.append(Weighed.whole(named, rows.instances(), counted.keys))
+            reader.forget()
         except Exception as error:  # Blender would print it and go on
             errors.append(error)
         counted.seconds += time.perf_counter() - start

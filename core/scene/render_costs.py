@@ -1,0 +1,101 @@
+"""What a render by Cycles takes of the host's memory, in bytes, by what is in it: meshes, images, instances, and what
+is there whatever is culled.
+
+A rate is what a sweep of synthetic scenes measured for each thing more of a kind (`lipac bench --only memory`,
+docs/memory.md), Blender's own copy of it included. Cycles builds BVHes side by side, so how much of them is there at
+the same time depends on the processors; rates are those of many meshes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import F64, I32, I64
+from .model import Instances
+
+# Bytes of a mesh: (of each triangle, vertex, and corner of a triangle with UVs that a material reads)
+TRIANGLE, VERTEX, UV_CORNER = 44, 28, 16
+BVH_TRIANGLE = 84  # Embree's tree, and the boxes that it is built from
+MESH = 2_000
+DELETING_TRIANGLE = 30  # of a mesh of which faces are deleted before the render, that of all of them
+OBJECT, EMPTY, PLACED = 21_000, 12_400, 1_600  # of an object, of one that instances a collection, of what is instanced
+
+
+@dataclass(frozen=True)
+class RenderCosts:
+    """Bytes by what is in a scene with N instances, M meshes and I images.
+
+    geometry, bvh: (M,) int64, of each mesh. cutting: (M,) int64, of one of which some faces are deleted, on top.
+    instance: (N,) int32. image: (I,) int64. uses: (U, 2) int32, pairs: objects whose materials begin at a number of
+    `Instances.slots` have an image. fixed: what is there whatever is culled.
+    """
+
+    geometry: I64
+    bvh: I64
+    cutting: I64
+    instance: I32
+    image: I64
+    uses: I32
+    fixed: int = 0
+
+    @staticmethod
+    def of_meshes(triangles: I64, vertices: I64, textured: NDArray[np.bool_]) -> tuple[I64, I64, I64]:
+        """Geometry, BVH and what cutting takes of meshes, (M,) int64 each, with so many triangles and vertices, (M,).
+        textured: (M,) whether a material reads UVs."""
+        some = (triangles > 0).astype(np.int64)
+        geometry = (
+            TRIANGLE * triangles
+            + VERTEX * vertices
+            + 3 * UV_CORNER * triangles * textured.astype(np.int64)
+            + MESH * some
+        )
+        return geometry, BVH_TRIANGLE * triangles, DELETING_TRIANGLE * triangles
+
+    @property
+    def mesh(self) -> I64:
+        """(M,) int64 bytes of each mesh."""
+        return np.asarray(self.geometry + self.bvh)
+
+    def images_of(self, slots: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """(I,) bool, images of objects whose materials begin at these numbers, any shape."""
+        out = np.zeros(len(self.image), bool)
+        out[self.uses[np.isin(self.uses[:, 0], slots), 1]] = True
+        return out
+
+    def total(self, instances: Instances, keep: NDArray[np.bool_], share: F64 | None = None) -> int:
+        """Bytes of a render with the instances of keep, (N,) bool. share: (M,) of each mesh that is there, where faces
+        are deleted."""
+        meshes = np.zeros(len(self.geometry), bool)
+        meshes[instances.mesh[keep]] = True
+        held = (self.mesh * meshes).astype(np.float64)
+        if share is not None:
+            held = held * share + self.cutting * (meshes & (share < 1))
+        images = self.images_of(np.unique(instances.slots[keep]))
+        return (
+            self.fixed + int(held.sum()) + int(self.instance[keep].sum(dtype=np.int64)) + int(self.image[images].sum())
+        )
+
+    def with_images_that_stay(self, stay: NDArray[np.bool_]) -> RenderCosts:
+        """Where images, (I,) bool, are loaded whatever is culled."""
+        return replace(self, image=np.where(stay, 0, self.image), fixed=self.fixed + int(self.image[stay].sum()))
+
+    def divided(self, owner: I64, parts: list[tuple[int, I64]]) -> RenderCosts:
+        """Of the scene in which meshes are divided: parts have a share of the bytes by triangles, instances of them
+        come behind. owner: (P,) instance that each part belongs to; parts: each such mesh, and triangles of its
+        parts."""
+        geometry, bvh, cutting, fixed = self.geometry.copy(), self.bvh.copy(), self.cutting.copy(), self.fixed
+        more: list[list[I64]] = [[], []]
+        for mesh, triangles in parts:
+            for found, of in zip(more, (geometry, bvh), strict=True):
+                found.append(np.ceil(of[mesh] * (triangles / max(int(triangles.sum()), 1))).astype(np.int64))
+            fixed += int(cutting[mesh])
+            geometry[mesh] = bvh[mesh] = 0
+        geometry, bvh = (np.concatenate([of, *found]) for of, found in zip((geometry, bvh), more, strict=True))
+        none: I64 = np.zeros(len(geometry) - len(cutting), np.int64)
+        instance = np.concatenate([self.instance, np.zeros(len(owner), np.int32)])
+        return replace(
+            self, geometry=geometry, bvh=bvh, cutting=np.append(cutting, none), instance=instance, fixed=fixed
+        )
