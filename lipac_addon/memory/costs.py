@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 
 from ...core.arrays import I32, I64, Records
-from ...core.processors import processors
 from ...core.scene.render_costs import EMPTY, OBJECT, PLACED, RenderCosts
+from ...core.threads import processors
 from ..extract import Extraction
 from ..keys import Kind
 from .images import image_bytes, images_of
