@@ -24,7 +24,8 @@ def unbounded() -> list[str]:
     """Direct requirements of the project and its tests, without their versions."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    names = (re.match(r"[\w-]+", line) for line in (*project["dependencies"], *extras["test"], *extras["extension"]))
+    lines = [*project["dependencies"], *extras["test"], *extras["extension"], *extras["browser"]]
+    names = (re.match(r"[\w-]+", line) for line in lines)
     return sorted({match[0] for match in names if match} - {"lipac"})
 
 

@@ -194,7 +194,7 @@ class Report:
         with alone(folder):
             data, found = self.as_dict(), found_report(folder)
             if (found is None or self._differences(found)) and (found is None or found["frames"]):
-                _keep_beside(folder / "report.json")
+                keep_beside(folder / "report.json")
             if found is not None and not self._differences(found):
                 own = {frame["frame"] for frame in self.frames}
                 data["frames"] = sorted(
@@ -364,7 +364,7 @@ def _renamed(host: I32, ob: I32, names: Sequence[str]) -> tuple[I32, I32, list[s
     return place[host], place[ob], [names[n] for n in used]
 
 
-def _keep_beside(path: Path) -> None:
+def keep_beside(path: Path) -> None:
     """Give a file, if there is one, a name of its own: report_earlier_1.json."""
     if not os.path.lexists(path):
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from ..arrays import F32
 from ..errors import InputError
 from ..feedback.tiles import COLUMNS, ROWS
 from ..files.atomic import replacing
-from ..files.report import UNREADABLE, found_report
+from ..files.report import UNREADABLE, found_report, keep_beside
 from .curves import Curve, curves
 from .html import Figures, percent, render, times
 from .memory import takers
@@ -45,21 +46,49 @@ STAGES = {
     "render_s": "rendering",
     "verify_s": "verifying",
 }
+SECONDS = (*STAGES, "wall_s")
 CULLED = 0  # `State`
+PAGE = "report.html"
+OURS = b'<meta name="generator" content="LiPaC">'
 
 
 def write(folder: Path, full: Path | None = None, run: Path | None = None) -> Path:
     """Write folder/report.html and return its path.
 
     full: the folder of a command that rendered the same frames with nothing culled. run: that of pictures and states,
-    where that is not `folder`. Raises InputError where folder or full has no report.
+    where that is not `folder`. Raises InputError where folder or full has no report, or one that no command of ours
+    wrote.
     """
-    whole = None if full is None else _report(full)
-    text = page(_report(folder), run or folder, whole, full, opened(folder / "tlas.png"))
-    path = folder / "report.html"
+    from jinja2 import TemplateError
+
+    ours, whole = _report(folder), None if full is None else _report(full)
+    try:
+        text = page(ours, run or folder, whole, full, opened(folder / "tlas.png"))
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, TemplateError) as error:
+        if os.environ.get("LIPAC_DEBUG", "") not in ("", "0"):
+            raise
+        raise InputError(
+            f"{PAGE} cannot be made of {folder / 'report.json'}, which has figures that lipac does not write there "
+            f"({type(error).__name__}: {error}); render or analyze into another folder"
+        ) from error
+    path = folder / PAGE
+    drop(folder)
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
     return path
+
+
+def drop(folder: Path) -> None:
+    """Remove the page of a folder, so that it does not speak of what is no more; a file of that name that is no page of
+    ours is kept beside."""
+    path = folder / PAGE
+    with suppress(FileNotFoundError):
+        with path.open("rb") as file:
+            ours = OURS in file.read(2000)
+        if ours:
+            path.unlink()
+        else:
+            keep_beside(path)
 
 
 def _report(folder: Path) -> dict[str, Any]:
@@ -86,16 +115,16 @@ def page(
     values = {
         "fig": figures,
         "bound": bound_of(report),
-        "report": report,
-        "full": full,
+        "report": _with_totals(report),
+        "full": full and _with_totals(full),
         "scene": Path(report["scene"].replace("\\", "/")).name or "the open scene",
         "verdict": verdict(report, seen.measured if seen else None),
         "steps": STEPS,
         "saving": saving(report, full) if full else "",
         "full_device": _full_device(full) if full else "",
         "stages": STAGES,
-        "most": max((one["totals"][name] for one in (report, full) if one for name in (*STAGES, "wall_s")), default=0)
-        or 1.0,  # seconds that a bar of full length stands for
+        # seconds that a bar of full length stands for
+        "most": max(_with_totals(one)["totals"][name] for one in (report, full) if one for name in SECONDS) or 1.0,
         "shown": shown,
         "pictures": seen,
         "outside": None if outside is None else embed(outside),
@@ -106,18 +135,23 @@ def page(
     return render("report.html", **values)
 
 
+def _with_totals(report: dict[str, Any]) -> dict[str, Any]:
+    """With nothing for totals that an earlier version did not write."""
+    return report | {"totals": dict.fromkeys((*SECONDS, "peak_bytes", "blas_bytes"), 0) | report["totals"]}
+
+
 def saving(report: dict[str, Any], full: dict[str, Any]) -> str:
     """What culling saved of the seconds and the memory, in a sentence: of the whole commands and of the renders
     alone."""
+    ours, theirs = report["totals"], full["totals"]
     said = []
     for name, what in (("wall_s", "The whole command"), ("render_s", "the render alone")):
-        ours, theirs = report["totals"][name], full["totals"][name]
-        if ours and theirs:
-            longer = f"takes {times(ours / theirs)} as long"
-            said.append(f"{what} {f'is {times(theirs / ours)} as fast' if theirs >= ours else longer}")
-    ours, theirs = report["totals"]["peak_bytes"], full["totals"]["peak_bytes"]
-    memory = f"; memory is {percent(ours / theirs)} of that for everything" if ours and theirs else ""
-    return ", ".join(said) + memory + "."
+        if ours.get(name) and theirs.get(name):
+            ratio = theirs[name] / ours[name]
+            said.append(f"{what} {f'is {times(ratio)} as fast' if ratio >= 1 else f'takes {times(1 / ratio)} as long'}")
+    if ours["peak_bytes"] and theirs["peak_bytes"]:
+        said.append(f"memory is {percent(ours['peak_bytes'] / theirs['peak_bytes'])} of that for everything")
+    return "; ".join(said) + "." if said else ""
 
 
 def _full_device(full: dict[str, Any]) -> str:

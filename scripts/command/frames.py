@@ -19,7 +19,7 @@ from .digest import digest
 from .interrupt import ctrl_c
 from .last_words import last_words
 from .options import check, check_device, cull_options
-from .page import leave
+from .page import leaving
 from .streams import progress_of, say
 
 if TYPE_CHECKING:
@@ -117,9 +117,8 @@ def do_frames(
                 "anew without --resume"
             )
         report.note(report.warnings, missing_libraries())
-        run(job, report, progress, cancelled)
-        progress(1.0, "writing report.html")
-        leave(args.output)
+        with leaving(args.output):
+            run(job, report, progress, cancelled)
     say(report.table(), sys.stdout)
     for kind, lines in (("warning", report.warnings), ("approximated", report.approximated)):
         for line in lines[:MOST_LINES]:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from ...core.errors import Cancelled, InputError
 from ...core.page.html import missing
 from .streams import say
 
@@ -20,6 +23,20 @@ def not_here(folder: Path) -> str:
     return NOT_HERE.format(libraries=", ".join(lost), folder=folder) if lost else ""
 
 
+@contextmanager
+def leaving(folder: Path) -> Iterator[None]:
+    """The page of a folder is that of the report after the work in here, stopped or not; none until then."""
+    from ...core.page.report_page import drop
+
+    drop(folder)
+    try:
+        yield
+    except Cancelled:
+        leave(folder)
+        raise
+    leave(folder)
+
+
 def leave(folder: Path) -> None:
     """Write the page of the report in a folder, or a line why not."""
     if line := not_here(folder):
@@ -27,4 +44,7 @@ def leave(folder: Path) -> None:
         return
     from ...core.page.report_page import write
 
-    write(folder)
+    try:
+        write(folder)
+    except InputError as error:  # the pictures are there all the same
+        say(f"warning: {error}", sys.stderr)

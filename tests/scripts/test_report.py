@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from lipac.core.errors import Cancelled
 from lipac.core.page import html
-from lipac.scripts.command.page import leave
+from lipac.scripts.command.page import leave, leaving
 from lipac.scripts.lipac import main
 
 from ..core.page.folder import Page, frame, rendered
@@ -34,6 +35,26 @@ def test_a_folder_without_report_is_bad_input(tmp_path: Path, capfd: pytest.Capt
     assert main(["report", str(tmp_path)]) == 2
     error = capfd.readouterr().err
     assert error.count("\n") == 1 and "no report.json" in error
+
+
+def test_what_was_stopped_has_a_page_of_what_is_there(tmp_path: Path) -> None:
+    """And none that speaks of what was there before, while a command is at work."""
+    rendered(tmp_path, frame())
+    leave(tmp_path)
+    before = (tmp_path / "report.html").read_text()
+    with pytest.raises(Cancelled), leaving(tmp_path):
+        assert not (tmp_path / "report.html").exists()
+        rendered(tmp_path, frame(1), frame(2, active=77))
+        raise Cancelled
+    assert (tmp_path / "report.html").read_text() != before
+    assert "77" in (tmp_path / "report.html").read_text()
+
+
+def test_a_report_that_nobody_wrote_ends_no_command(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    rendered(tmp_path, frame(certified_mean="much"))
+    leave(tmp_path)
+    said = capfd.readouterr().err
+    assert said.startswith("warning: report.html cannot be made") and said.count("\n") == 1
 
 
 def test_where_libraries_are_missing_a_line_says_so(

@@ -264,6 +264,42 @@ def test_a_folder_without_a_report_is_bad_input(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "change",
+    [
+        {"verified_crops": "x", "verified_tiles": [1]},
+        {"verified_crops": [[0, 0]], "verified_tiles": [[1, 2]], "verified_grid": [4, 3]},
+        {"certified_mean": "much"},
+        {"render_s": "long"},
+    ],
+)
+def test_figures_that_nobody_writes_are_bad_input(tmp_path: Path, change: dict[str, Any]) -> None:
+    rendered(tmp_path, frame())
+    data = json.loads((tmp_path / "report.json").read_text())
+    data["frames"][0] |= change
+    (tmp_path / "report.json").write_text(json.dumps(data))
+    with pytest.raises(InputError, match=r"no report\.json|does not write"):
+        write(tmp_path)
+
+
+def test_totals_of_an_earlier_version_are_enough(tmp_path: Path) -> None:
+    rendered(tmp_path, frame())
+    data = json.loads((tmp_path / "report.json").read_text())
+    data["totals"] = {"peak_bytes": 0}
+    (tmp_path / "report.json").write_text(json.dumps(data))
+    _, page = page_of(tmp_path, tmp_path)
+    assert not [e for e in page.all("data") if e.attributes["data-of"] == "totals/wall_s"]
+
+
+def test_a_page_of_the_users_is_kept_beside(tmp_path: Path) -> None:
+    rendered(tmp_path, frame())
+    (tmp_path / "report.html").write_text("<p>my own</p>")
+    page_of(tmp_path)
+    page_of(tmp_path)
+    assert (tmp_path / "report_earlier_1.html").read_text() == "<p>my own</p>"
+    assert not (tmp_path / "report_earlier_2.html").exists()
+
+
+@pytest.mark.parametrize(
     ("figures", "options", "policy", "standing", "says"),
     [
         ({}, {}, "light-paths", GOOD, "The renderer was not asked"),
