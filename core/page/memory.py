@@ -1,77 +1,37 @@
-"""Who takes the memory: memory.csv of a folder, where there is one."""
+"""Who takes the memory of a render: what a page shows of memory.csv."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from ..files.memory_table import MemoryRow, read_rows
 
 MOST = 12  # rows of a kind
 
 
 @dataclass(frozen=True)
-class Taker:
-    """What an object, a mesh or an image takes. share, full_share: of the largest of its kind, of bytes and full_bytes;
-    worth: the share of the picture that it may be worth, None where that was not measured; why: why it stays or
-    goes."""
-
-    name: str
-    kind: str
-    bytes: int
-    full_bytes: int
-    share: float
-    full_share: float
-    kept: int
-    instances: int
-    worth: float | None
-    why: str
-
-
-@dataclass(frozen=True)
 class Takers:
-    """Those that take most, with nothing culled, of `total` things that take `bytes`, of `full_bytes` with nothing
-    culled."""
+    """What takes most with nothing culled, `rows`, of `total` objects, or meshes and images, which take `bytes`, of
+    `full_bytes` with nothing culled. top: bytes that a bar of full length stands for."""
 
     what: str
-    rows: tuple[Taker, ...]
+    rows: tuple[MemoryRow, ...]
     total: int
     bytes: int
     full_bytes: int
+    top: int
 
 
-def takers(path: Path) -> list[Takers]:
-    """Objects, and meshes and images, of a table as `lipac render` writes it; nothing where there is no such table."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        parts = [
-            _those(what, [row for row in rows if row["kind"] in kinds])
-            for what, kinds in (("objects", ("object",)), ("meshes and images", ("mesh", "image")))
-        ]
-    except (OSError, ValueError, KeyError, TypeError, csv.Error):
-        return []
-    return [part for part in parts if part.rows]
+def takers(folder: Path) -> list[Takers]:
+    """Objects, and meshes and images, of a folder's table; nothing where it has none."""
+    rows = read_rows(folder)
+    parts = {"objects": ("object",), "meshes and images": ("mesh", "image")}
+    return [_those(what, found) for what, kinds in parts.items() if (found := [r for r in rows if r.kind in kinds])]
 
 
-def _those(what: str, rows: Iterable[Mapping[str, str]]) -> Takers:
-    """Raises KeyError, TypeError or ValueError where a row is not of that table."""
-    found = sorted(rows, key=lambda row: (-int(row["full_bytes"]), -int(row["bytes"]), row["name"]))
-    taken = [(int(row["bytes"]), int(row["full_bytes"])) for row in found]
-    top = max((max(pair) for pair in taken), default=0) or 1
-    shown = tuple(
-        Taker(
-            row["name"],
-            row["kind"],
-            own,
-            full,
-            own / top,
-            full / top,
-            int(row["kept"]),
-            int(row["instances"]),
-            float(row["worth"]) if row["worth"] else None,
-            row["why"],
-        )
-        for row, (own, full) in zip(found[:MOST], taken, strict=False)
-    )
-    return Takers(what, shown, len(found), sum(own for own, _ in taken), sum(full for _, full in taken))
+def _those(what: str, rows: Sequence[MemoryRow]) -> Takers:
+    first = sorted(rows, key=lambda row: (-max(row.full_bytes, row.bytes), row.name))[:MOST]
+    own, full = sum(row.bytes for row in rows), sum(row.full_bytes for row in rows)
+    return Takers(what, tuple(first), len(rows), own, full, max(first[0].full_bytes, first[0].bytes, 1))

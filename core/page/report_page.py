@@ -130,7 +130,7 @@ def page(
         "outside": None if outside is None else embed(outside),
         "unmet": None if shown is None else unmet(folder, report["frames"][shown]["frame"]),
         "curves": frames_as_curves(report),
-        "takers": takers(folder / "memory.csv"),
+        "takers": takers(folder),
     }
     return render("report.html", **values)
 

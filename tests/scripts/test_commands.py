@@ -94,7 +94,14 @@ def test_render_from_a_shell(blend, tmp_path):
     folder = tmp_path / "a"
     names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
     pictures = [f"frame_000{k}.{end}" for k in (1, 2) for end in ("exr", "png")]
-    assert names == [*pictures, "report.html", "report.json", "states/frame_0001.npz", "states/frame_0002.npz"]
+    assert names == [
+        *pictures,
+        "memory.csv",
+        "report.html",
+        "report.json",
+        "states/frame_0001.npz",
+        "states/frame_0002.npz",
+    ]
     report = json.loads((folder / "report.json").read_text())
     assert (report["engine"], report["policy"], report["scene"]) == ("cycles", "light-paths", str(blend))
     frame = report["frames"][0]

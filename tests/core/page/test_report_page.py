@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 import io
 import itertools
 import json
@@ -17,6 +16,7 @@ from PIL import Image
 
 from lipac.core.errors import InputError
 from lipac.core.feedback.tiles import COLUMNS, ROWS, TILES
+from lipac.core.files.memory_table import MemoryRow, write_rows
 from lipac.core.page import html
 from lipac.core.page.pictures import WIDEST, of_crops, tiles
 from lipac.core.page.report_page import write
@@ -49,16 +49,16 @@ def looked_up(data: Any, path: str) -> Any:
     return data
 
 
+def taker(kind: str, name: str, own: int, full: int, worth: float | None = 0.2, why: str = "met") -> MemoryRow:
+    return MemoryRow(kind, name, own, full, own, 0, 0, 9, 4, worth, 1, 2, 3, 4, 5, 1, why)
+
+
 def rich(tmp_path: Path) -> tuple[Path, Path]:
     """A shot of three frames, the second verified; and the same with nothing culled."""
     folder = tmp_path / "out"
     found = verified(folder, [[0, 0], [3, 2]], number=2)
     rendered(folder, frame(1), frame(2, certified_mean=0.0077, **found), frame(3, active=290))
-    with (folder / "memory.csv").open("w", newline="") as file:
-        head = ("kind", "name", "bytes", "full_bytes", "instances", "kept", "worth", "why")
-        tree = ("object", "tree", 30_000_000, 30_000_000, 900, 900, 0.2, "met by light paths")
-        tower = ("object", "tower", 0, 70_000_000, 12, 0, "", "worth less than others")
-        csv.writer(file).writerows([head, tree, tower, ("image", "bark", 4_000_000, 8_000_000, 3, 2, 0.1, "")])
+    write_rows(folder, [taker("object", "tree", 30_000_000, 30_000_000), taker("object", "tower", 0, 70_000_000)])
     nothing = {"active": 4000, "culled": 0, "trace_s": 0.0, "render_s": 21.5, "device_bytes": 195_000_000}
     full = [{k: v for k, v in frame(n, **nothing).items() if not k.startswith(("certif", "conf"))} for n in (1, 3)]
     return folder, rendered(tmp_path / "full", *full, policy="none")
@@ -223,14 +223,19 @@ def test_what_files_say_is_text_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_memory_is_listed_by_who_takes_most(tmp_path: Path) -> None:
-    folder, full = rich(tmp_path)
-    text, page = page_of(folder, full)
+    folder = rendered(tmp_path, frame())
+    tower = taker("object", "tower", 0, 70_000_000, None, "worth less than <others>")
+    leaves = [taker("mesh", f"leaf {k}", 10 * k, 10 * k) for k in range(40)]
+    bark = taker("image", "bark", 4_000_000, 8_000_000)
+    write_rows(folder, [taker("object", "tree", 30_000_000, 30_000_000), tower, bark, *leaves])
+    text, page = page_of(folder)
     heads = [e.text for e in page.all("th")]
-    assert heads.index("tower") < heads.index("tree")
-    assert "70 MB" in text and "bark (image)" in text and "worth less than others" in text
+    assert heads.index("tower") < heads.index("tree") < heads.index("bark (image)") < heads.index("leaf 39")
+    assert "leaf 1" not in heads and "largest of 41" in text
+    assert {"70 MB", "20 %", "worth less than <others>", "4 of 9"} <= {e.text for e in page.all("td")}
     assert "Objects: 30 MB, with everything 100 MB" in [e.text for e in page.all("h3")]
     (folder / "memory.csv").write_text("not,a\ntable")
-    assert "Who takes the memory" not in page_of(folder, full)[0]
+    assert "Who takes the memory" not in page_of(folder)[0]
 
 
 @pytest.mark.parametrize("lost", ["frame_0001.png", "states/frame_0001.npz"])
