@@ -7,6 +7,7 @@
 # make test      ruff, mypy, every test
 # make blender   the tests of Blender's API and of Cycles' shading, on another Blender: make blender BLENDER=5.3
 # make lock      newest versions that pyproject.toml allows into requirements*.txt, which all the others install
+# make docs      pages that are written from the code, and the site: build/site
 # make extension one zip per platform, to install in Blender: dist
 # PYTHON=/path/to/python picks the interpreter (default: a Python 3.13, else 3.11), VENV=folder the environment.
 
@@ -15,7 +16,7 @@ BLENDER ?= 5.3
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 UV := uv==0.13.9
-.PHONY: install demo results accuracy animation extension test smoke check lint blender lock clean
+.PHONY: install demo results accuracy animation docs extension test smoke check lint blender lock clean
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -30,6 +31,9 @@ accuracy: $(VENV)/.installed-test
 animation: install
 	$(BIN)/lipac bench -o out/bench --only animation
 	cp -r out/bench/animation.md out/bench/animation docs
+docs: $(VENV)/.installed-test
+	$(BIN)/python -m lipac.scripts.dev.pages
+	$(BIN)/python -m mkdocs build --quiet
 extension: $(VENV)/.installed-test
 	$(BIN)/python -m lipac.scripts.dev.make_extension
 # Tests run even where lint or types complain, so that one look shows everything; any of the three fails the target.

@@ -53,12 +53,11 @@ def analyze(
     """Decide which instances of a frame light paths need.
 
     Parameters:
-        scene: a file (.blend, .glb, .gltf, .usd*, .obj, .ply, .stl), which is opened in place of the open one; the open
-        scene of Blender, or None for it; or
-            arrays (`lipac.core.scene.model.Scene`), for which Blender is not loaded.
-        max_error: how much the mean luminance of the picture's 16 x 9 tiles may change, as a share: 0.01 is 1 %. The
-        worst tile may change by five times as
-            much; a `Budget` gives both bounds.
+        scene: a file (.blend, .glb, .gltf, .usd*, .obj, .ply, .stl), which is opened in place of the open one; the
+            open scene of Blender, or None for it; or arrays (`lipac.core.scene.model.Scene`), for which Blender is not
+            loaded.
+        max_error: the error budget (docs/error.md): the mean error of the picture's 16 x 9 tiles, as a share: 0.01 is
+            1 %. The worst tile may change by five times as much; a `Budget` gives both bounds.
         options: all else, such as the policy, seed, threads; its own budget counts for nothing.
         frame: to analyse; None: the scene's current one.
         progress: called with a share from 0 to 1 (NaN where unknown) and a text.

@@ -1,8 +1,4 @@
-"""The `lipac` command: `lipac COMMAND ...`.
-
-Exit status: 0 success, 1 an error of ours, 2 unusable input, 3 done, but a verification found the error budget broken,
-130 stopped by Ctrl-C.
-"""
+"""The `lipac` command: `lipac COMMAND ...`."""
 
 from __future__ import annotations
 
@@ -32,6 +28,19 @@ COMMANDS = {
     ),
     "shot": ("farm.step", "do a step of such a job"),
     "bench": ("bench", "measure speed against peers"),
+}
+
+# Exit status: what it means. docs/reference.md is written from this and the next.
+STATUSES = {
+    0: "success",
+    1: "an error that is not of the input: out of memory, a full disk, a fault of ours",
+    2: "unusable input: one line says what is wrong and what to do",
+    3: "done, but a verification found the error budget broken",
+    130: "stopped by Ctrl-C; finished frames and their report are kept",
+}
+ENVIRONMENT = {
+    "LIPAC_CACHE_DIR": "folder for compiled kernels; by default in the user's cache folder",
+    "LIPAC_DEBUG": "`1`: tracebacks of errors, and Blender's own output",
 }
 
 STOPPED = "stopped; finished frames and their report are kept"

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import lipac
-from lipac.scripts.dev import architecture_page
+from lipac.scripts.dev.pages import architecture_page
 
 ROOT = Path(lipac.__file__).parent
 FOLDERS = ("core", "lipac_addon", "scripts")
@@ -155,7 +155,7 @@ def test_the_user_interface_hides_no_import_of_its_own() -> None:
 
 
 def test_the_diagrams_are_current() -> None:
-    """`python -m lipac.scripts.dev.architecture_page` draws them."""
+    """`python -m lipac.scripts.dev.pages` draws them."""
     text = architecture_page.PAGE.read_text()
     assert "culling --> tracing" in text
     assert architecture_page.page(text) == text

@@ -15,7 +15,7 @@ import pytest
 import lipac
 from lipac.core.culling.analysis import analyze as analyze_arrays
 from lipac.lipac_addon.pictures import read_picture
-from lipac.scripts.dev import api_page
+from lipac.scripts.dev.pages import api_page
 
 from .core.culling.test_loop import stage
 from .lipac_addon.conftest import boxes, boxes_file  # noqa: F401
@@ -114,5 +114,5 @@ def test_the_example_runs(boxes_file: Path, tmp_path: Path) -> None:  # noqa: F8
 
 
 def test_the_page_is_current() -> None:
-    """`python -m lipac.scripts.dev.api_page` writes it."""
+    """`python -m lipac.scripts.dev.pages` writes it."""
     assert api_page.PAGE.read_text() == api_page.page()

@@ -87,7 +87,7 @@ def _library_path() -> Path:
 def _load() -> ctypes.CDLL:
     path = _library_path()
     if sys.platform == "win32":
-        # by its full path: another file than an embree4.dll that is loaded already (docs/method.md, "Two Embrees")
+        # by its full path: another file than an embree4.dll that is loaded already (docs/internals.md)
         library = ctypes.CDLL(str(path))
     else:
         # DEEPBIND: the library's own symbols before those of another Embree in the process.

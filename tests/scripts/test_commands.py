@@ -19,6 +19,7 @@ from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.lipac import main
 
 from ..processes import INTERRUPTIBLE
+from ..reports import check_report
 
 ROOT = Path(lipac.__file__).parent
 SMALL = ["--samples", "1", "--resolution", "32x18"]
@@ -102,6 +103,7 @@ def test_render_from_a_shell(blend, tmp_path):
         "states/frame_0001.npz",
         "states/frame_0002.npz",
     ]
+    check_report(folder)
     report = json.loads((folder / "report.json").read_text())
     assert (report["engine"], report["policy"], report["scene"]) == ("cycles", "light-paths", str(blend))
     frame = report["frames"][0]
@@ -122,6 +124,7 @@ def test_render_from_a_shell(blend, tmp_path):
     full = command("render", blend, "-o", tmp_path / "b", "--cull", "none", "--quiet", *SMALL)
     assert (full.returncode, full.stderr) == (0, "")
     assert (read_picture(folder / "frame_0001.exr") == read_picture(tmp_path / "b" / "frame_0001.exr")).all()
+    check_report(tmp_path / "b")
     assert json.loads((tmp_path / "b" / "report.json").read_text())["frames"][0]["active"] == 40
     assert before == (hashlib.sha256(blend.read_bytes()).hexdigest(), sorted(p.name for p in blend.parent.iterdir()))
 

@@ -1,4 +1,4 @@
-"""The diagrams of docs/architecture.md, from the imports: `python -m lipac.scripts.dev.architecture_page`."""
+"""The diagrams of docs/architecture.md, from the imports: `python -m lipac.scripts.dev.pages`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections import defaultdict
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "architecture.md"
 FOLDERS = ("core", "lipac_addon", "scripts")
 
@@ -22,7 +22,11 @@ def main() -> int:
 
 def page(text: str) -> str:
     """The page's text with each part between `<!-- NAME -->` and `<!-- end -->` written anew."""
-    parts = {"core": diagram("core"), "lipac_addon": diagram("lipac_addon"), "rooms": rooms()}
+    return filled(text, {"core": diagram("core"), "lipac_addon": diagram("lipac_addon"), "rooms": rooms()})
+
+
+def filled(text: str, parts: dict[str, str]) -> str:
+    """A page's text with what lies between `<!-- NAME -->` and `<!-- end -->` replaced by the part of that name."""
     return re.sub(
         r"(<!-- (\w+) -->\n).*?(<!-- end -->)", lambda m: f"{m[1]}{parts[m[2]]}\n{m[3]}", text, flags=re.DOTALL
     )

@@ -1,4 +1,4 @@
-"""docs/api.md, from the signatures and docstrings of `import lipac`: `python -m lipac.scripts.dev.api_page`."""
+"""docs/api.md, from the signatures and docstrings of `import lipac`: `python -m lipac.scripts.dev.pages`."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from lipac.core.files.report import Report
 from lipac.lipac_addon.batch.deciding import Decided
 from lipac.lipac_addon.writeback import WritebackResult
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "api.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "api.md"
 FUNCTIONS = (lipac.analyze, lipac.apply, lipac.restore, lipac.render)
 # given and returned
 CLASSES = (lipac.Budget, lipac.CullOptions, lipac.Scene, CullingResult, Decided, WritebackResult, Report)
 HEAD = """# `import lipac`
 
-<!-- written by scripts/dev/api_page.py -->
+<!-- written by scripts/dev/pages/api_page.py -->
 
 A program that culls a scene in Blender and renders it:
 [examples/cull_and_render.py](../examples/cull_and_render.py). Types are in the package (`py.typed`).
@@ -43,7 +43,7 @@ def entry(thing: Any, name: str) -> str:
     text = (
         text.replace("\nParameters:\n", "\nParameters:\n\n").replace("\n    - ", "\n- ").replace("\n        ", "\n  ")
     )
-    return f"### `{shown}`\n\n```python\n{signature(thing)}\n```\n\n{text}"
+    return f"### `{shown}`\n\n```text\n{signature(thing)}\n```\n\n{text}"
 
 
 def signature(thing: Any) -> str:

@@ -1,0 +1,14 @@
+"""Jobs' reports are held against their schema."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from ...reports import checked_reports
+
+
+@pytest.fixture(autouse=True, scope="package")
+def reports() -> Iterator[None]:
+    """All that are written here."""
+    with checked_reports():
+        yield
