@@ -274,12 +274,20 @@ def city(folder: Path, repeats: int) -> dict[str, Any]:
     return out
 
 
+def marked(target: str, measured: float) -> str:
+    """A target such as ">= 5", and that it is missed where it is."""
+    if not target:
+        return ""
+    bound = float(target.split()[1])
+    return target if (measured >= bound if target.startswith(">=") else measured <= bound) else f"{target}, **missed**"
+
+
 def report(results: dict[str, Any]) -> str:
     """benchmarks.md."""
     rows: list[tuple[str, ...]] = [("what", "peer", "ours", "peer's", "ratio", "target")]
 
     def row(what: str, peer: str, ours: str, theirs: str, ratio: float, target: str) -> None:
-        rows.append((what, peer, ours, theirs, f"{ratio:.3g}", target))
+        rows.append((what, peer, ours, theirs, f"{ratio:.3g}", marked(target, ratio)))
 
     if "rays" in results:
         if "skipped" in results["rays"]:
@@ -348,8 +356,11 @@ def report(results: dict[str, Any]) -> str:
             row(f"1M instances: error ({metric})", "another seed", f"{a:.4f}", f"{b:.4f}", a / b, "<= 1")
     if "compiling" in results:
         took = results["compiling"]
-        rows.append(("compiling all kernels, once", "", f"{took['compile_s']:.1f} s", "", "", "<= 40 s"))
-        rows.append(("file open to a few pixels analysed, cached", "", f"{took['warm_s']:.1f} s", "", "", "<= 3 s"))
+        for what, key, target in (
+            ("compiling all kernels, once", "compile_s", "<= 40 s"),
+            ("file open to a few pixels analysed, cached", "warm_s", "<= 3 s"),
+        ):
+            rows.append((what, "", f"{took[key]:.1f} s", "", "", marked(target, took[key])))
     machines = sorted({result["machine"] for result in results.values()})
     notes = [
         "Ratios are ours to the peer's: speeds as they are, seconds inverted (the peer's over ours), memory, error "

@@ -22,7 +22,7 @@ ENTRY_BYTES = 150.0  # of a TLAS entry: 64 bytes of Embree's leaf, 52 of ours, a
 
 @dataclass(frozen=True)
 class Budget:
-    """mean: bound of the mean relative change of the picture; worst: of its worst tile."""
+    """Bounds of the error that docs/error.md defines. mean: of the mean over the tiles; worst: of the worst tile."""
 
     mean: float
     worst: float

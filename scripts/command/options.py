@@ -58,8 +58,8 @@ def scene_parser(command: str, description: str) -> Parser:
     listed = [name for name, policy in POLICIES.items() if policy.listed]
     culling.add_argument("--cull", choices=listed, default=LIGHT_PATHS, help="what decides (default: %(default)s)")
     error = (
-        "light-paths: share by which the mean of 16 x 9 tiles of the picture, and the worst of them, may change "
-        "(default: 0.01; T: five times E)"
+        "light-paths: error budget: bounds of the relative change of the picture's 16 x 9 tiles, as shares, in mean "
+        "and of the worst tile (default: 0.01; T: five times E)"
     )
     culling.add_argument("--max-error", metavar="E[,T]", help=error)
     culling.add_argument(

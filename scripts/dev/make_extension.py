@@ -26,7 +26,18 @@ PLATFORMS = {
     "windows-x64": ("win_amd64",),
     "macos-arm64": ("macosx_13_0_arm64", "macosx_12_0_arm64", "macosx_11_0_arm64"),
 }
-PAGES = ("user-guide", "write-back", "live")  # of docs/: the manual of the panel's controls
+# Of docs/: the manual of the panel's controls, and what it refers to
+PAGES = (
+    "user-guide",
+    "write-back",
+    "live",
+    "error",
+    "supported",
+    "for-my-scene",
+    "troubleshooting",
+    "install",
+    "glossary",
+)
 STYLE = (
     "body{max-width:60em;margin:2em auto;font:16px/1.5 sans-serif}img{max-width:100%}td,th{padding:.2em "
     ".6em;text-align:left;border:1px solid #ccc}"
@@ -129,13 +140,19 @@ def write_docs(folder: Path) -> None:
 
     (folder / "pictures").mkdir(parents=True)
     for name in PAGES:
-        body = markdown((ROOT / "docs" / f"{name}.md").read_text(), extensions=["tables", "toc"])
-        body = re.sub(r'href="([\w-]+)\.md', r'href="\1.html', body)
+        body = markdown((ROOT / "docs" / f"{name}.md").read_text(), extensions=["tables", "toc", "fenced_code"])
+        body = re.sub(r'<a href="([\w./-]+)\.(?:md|json)([^"]*)">(.*?)</a>', _inside, body, flags=re.DOTALL)
         (folder / f"{name}.html").write_text(
             f"<!doctype html><meta charset=utf-8><title>LiPaC</title><style>{STYLE}</style>\n{body}\n"
         )
         for picture in re.findall(r'src="pictures/([^"]+)"', body):
             shutil.copyfile(ROOT / "docs" / "pictures" / picture, folder / "pictures" / picture)
+
+
+def _inside(link: re.Match[str]) -> str:
+    """A link of a page for browsers, or its text alone where what it leads to is not in the zip."""
+    name, anchor, text = link.groups()
+    return f'<a href="{name}.html{anchor}">{text}</a>' if name in PAGES else text
 
 
 def manifest(platform: str, wheels: Iterable[str]) -> str:

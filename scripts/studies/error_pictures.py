@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "allowed: mean, worst tile",
         "instances kept",
         "certified",
-        "measured by Cycles",
+        "luminance, by Cycles",
         "largest change of a pixel",
     )
     table = [head, ("---",) * len(head), *rows]

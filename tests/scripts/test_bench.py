@@ -120,3 +120,17 @@ def test_a_run_does_not_inherit_the_peak_memory_of_the_one_before(
         "totals": {"peak_bytes": 1},
         "process_s": 2.0,
     }
+
+
+@pytest.mark.parametrize(
+    ("target", "measured", "shown"),
+    [
+        (">= 5", 5.0, ">= 5"),
+        (">= 5", 3.41, ">= 5, **missed**"),
+        ("<= 40 s", 23.9, "<= 40 s"),
+        ("<= 0.4", 0.5, "<= 0.4, **missed**"),
+        ("", 1.0, ""),
+    ],
+)
+def test_missed_targets_are_marked(target: str, measured: float, shown: str) -> None:
+    assert bench.marked(target, measured) == shown

@@ -71,7 +71,7 @@ class LipacPreferences(bpy.types.AddonPreferences):
     )
     max_error: percentage(  # type: ignore[valid-type]
         "Error budget",
-        "Error budget of scenes that do not set their own: how much the picture may change on average",
+        "Error budget of scenes that do not set their own: how much tiles of the picture may change, in the mean",
         DEFAULTS.max_error,
     )
     worst_error: percentage(  # type: ignore[valid-type]

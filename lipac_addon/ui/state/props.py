@@ -68,13 +68,13 @@ class LipacSettings(bpy.types.PropertyGroup):
     )
     max_error: preferences.percentage(  # type: ignore[valid-type]
         "Error budget",
-        "How much the picture may change on average. Less keeps more",
+        "Bound of the relative change of the picture's 16 x 9 tiles, in the mean. Less keeps more",
         preferences.DEFAULTS.max_error,
         get_transform=_preferred("max_error"),
     )
     worst_error: preferences.percentage(  # type: ignore[valid-type]
         "Worst tile",
-        "How much any one tile of the picture (a 16th of its width) may change",
+        "The same bound of any one tile (a 16th of the picture's width)",
         preferences.DEFAULTS.worst_error,
         get_transform=_preferred("worst_error"),
     )

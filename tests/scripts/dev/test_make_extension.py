@@ -4,6 +4,7 @@ there."""
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -119,3 +120,13 @@ def test_every_platform_has_a_manifest_that_names_its_wheels() -> None:
         text = make_extension.manifest(platform, ["a.whl"])
         assert f'platforms = ["{platform}"]' in text
         assert '"./wheels/a.whl"' in text
+
+
+def test_pages_of_the_zip_lead_to_each_other(tmp_path: Path) -> None:
+    """Links and pictures of the manual are in the zip; blocks of commands are blocks."""
+    make_extension.write_docs(tmp_path / "docs")
+    for page in (tmp_path / "docs").glob("*.html"):
+        text = page.read_text()
+        for target in re.findall(r'(?:href|src)="([^"#:]+)"', text):
+            assert (page.parent / target.partition("#")[0]).is_file(), f"{page.name}: {target}"
+    assert "<pre><code" in (tmp_path / "docs" / "user-guide.html").read_text()
