@@ -83,11 +83,13 @@ def main(requirements: Sequence[str]) -> str:
     status, closing = tests()
     if not status:
         return f"{closing} with {names}"
+    # 2: some files could not even be collected, which is quickly seen; else only what failed has to run again
+    again = ("--collect-only",) if status == 2 else ("--last-failed", "--last-failed-no-failures=none", "-x")
     mended = "none of them alone"
     for name, (old, new) in sorted(moved.items(), key=lambda item: item[0] == "bpy"):  # the largest last
         if subprocess.run([*PIP, "install", "-q", "--no-deps", f"{name}=={old}"], check=False).returncode:
             continue
-        if tests("--last-failed", "--last-failed-no-failures=none", "-x")[0] == 0:
+        if tests(*again)[0] == 0:
             mended = name
             break
         subprocess.run([*PIP, "install", "-q", "--no-deps", f"{name}=={new}"], check=False)
