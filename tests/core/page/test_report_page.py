@@ -167,6 +167,14 @@ def test_without_a_full_picture_the_page_says_how_to_get_one(tmp_path: Path) -> 
     assert "--verify" in text and "--full" in text
 
 
+def test_a_full_render_is_not_called_culled(tmp_path: Path) -> None:
+    nothing = {k: v for k, v in frame(active=4000, culled=0).items() if not k.startswith(("certif", "conf", "unknown"))}
+    text, page = page_of(rendered(tmp_path, nothing, policy="none"))
+    assert page.all("h1")[0].text.strip() == "Nothing was left out"
+    assert "culled" not in page.all("figcaption")[0].text and "--verify" not in text
+    assert "culled" not in [e.text for e in page.all("th")]
+
+
 def test_where_the_pictures_are_elsewhere_the_page_says_so(tmp_path: Path) -> None:
     report(frame()).write(tmp_path)
     assert "--as-scene" in page_of(tmp_path)[0]
