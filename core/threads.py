@@ -17,22 +17,23 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def start(work: Callable[[], None], threads: int) -> set[Future[None]]:
-    """Call work on so many threads at once, which must not start any itself. Raises RuntimeError where the system has
-    none to give; no call is left then."""
+def start(work: Callable[[], None], calls: int, threads: int = 0) -> set[Future[None]]:
+    """Call work so many times at once, on so many threads (0: all processors), in which it must not call this itself.
+    Raises RuntimeError where the system has none to give; no call is left then."""
+    threads = threads or processors()
     pool = _pools.setdefault(threads, ThreadPoolExecutor(threads, "lipac"))
     try:
-        return {pool.submit(work) for _ in range(threads)}
+        return {pool.submit(work) for _ in range(calls)}
     except RuntimeError:
         _pools.pop(threads, None)
         pool.shutdown(cancel_futures=True)
         raise
 
 
-def over_parts(kernel: Callable[[int, int], None], count: int, threads: int = 0) -> None:
-    """Call kernel(start, stop) for parts of range(count), together all of it, on several threads (0: all processors)
-    where that is worth while."""
-    parts = min(threads or processors(), count // _WORTH_WHILE)
+def over_parts(kernel: Callable[[int, int], None], count: int, worth_while: int = _WORTH_WHILE) -> None:
+    """Call kernel(start, stop) for parts of range(count), together all of it, on several threads. worth_while: items
+    under which one thread is as fast."""
+    parts = min(processors(), count // worth_while)
     if parts <= 1:
         kernel(0, count)
         return

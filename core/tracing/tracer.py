@@ -216,7 +216,7 @@ def _run(
     taken = np.zeros(1, np.int64)
     running: set[Future[None]] = set()
     try:
-        running = start(lambda: trace_tiles(tiles, taken, addresses), min(threads, len(tiles)))
+        running = start(lambda: trace_tiles(tiles, taken, addresses), min(threads, len(tiles)), threads)
         while running:
             done, running = wait(running, _POLL)
             if cancelled and cancelled():

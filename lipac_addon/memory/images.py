@@ -7,6 +7,8 @@ from typing import Any
 
 import bpy
 
+from ..images import size_of
+
 SAMPLED = {"ShaderNodeTexImage", "ShaderNodeTexEnvironment"}
 
 
@@ -14,15 +16,15 @@ def image_bytes(image: bpy.types.Image) -> int:
     """What Cycles keeps of an image: one or four channels, of one byte each, two of a PNG with 16 bits, four of other
     floats (of halves, which Blender does not tell from these, it is twice too much); the tiles of a UDIM each.
 
-    What is missing takes one pixel. Reads the image where Blender has not read it yet.
+    What is missing takes one pixel. Reads the image where Blender never has.
     """
-    width, height = image.size
-    if not width or not height:
+    size = size_of(image)
+    if not size.width or not size.height:
         return 16
-    channels = 1 if image.channels == 1 else 4
-    each = 1 if not image.is_float else 2 if image.file_format == "PNG" and image.source == "FILE" else 4
+    channels = 1 if size.channels == 1 else 4
+    each = 1 if not size.is_float else 2 if image.file_format == "PNG" and image.source == "FILE" else 4
     tiles = len(image.tiles) if image.source == "TILED" else 1
-    return width * height * channels * each * tiles
+    return size.width * size.height * channels * each * tiles
 
 
 def images_of(tree: Any) -> set[bpy.types.Image]:

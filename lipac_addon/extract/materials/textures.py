@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....core.arrays import F32, U8
+from ....core.scene.images import Alpha, texels
 from ....core.scene.model import TEXTURE, Extension, Textures
+from ...images import as_found
 
 MAGENTA = (1.0, 0.0, 1.0, 1.0)  # what Cycles shows for an image that it cannot load
 EXTENSIONS = {
@@ -70,6 +73,7 @@ class TextureTable:
         self._known: dict[tuple[str, bool], int] = {}
         self._made: dict[tuple[tuple[int, ...], bytes], int] = {}
         self._uses: dict[ImageUse, int] = {}
+        self._space: F32 = np.zeros(0, np.float32)
 
     def uv_map(self, name: str) -> int:
         """Index into `Scene.uv_maps`."""
@@ -85,15 +89,23 @@ class TextureTable:
             self._known[key] = len(self.sources)
             pixels = self._pixels.get(key)
             if pixels is None:
-                pixels = self._read(None if image is None else image.original, associate)
+                with nullcontext() if image is None else as_found(image.original):
+                    pixels = self._read(None if image is None else image.original, associate)
                 self._pixels[key] = pixels
             for line in pixels.lines:
                 self.report(line)
             self.sources.append(pixels)
         return self._known[key]
 
-    @staticmethod
-    def _read(image: Any, associate: bool) -> Pixels:
+    def _values(self, image: Any) -> F32:
+        """All channels of all pixels of an image, valid until the next call."""
+        if len(self._space) < len(image.pixels):
+            self._space = np.empty(len(image.pixels), np.float32)
+        values = self._space[: len(image.pixels)]
+        image.pixels.foreach_get(values)
+        return values
+
+    def _read(self, image: Any, associate: bool) -> Pixels:
         if image is None:
             return _magenta("an image texture node has no image: magenta, as in Cycles")
         width, height = image.size  # loads the file
@@ -102,27 +114,17 @@ class TextureTable:
         lines, exact = [], image.source not in {"TILED", "SEQUENCE", "MOVIE"}
         if not exact:
             lines.append(f"image {image.name!r}: of {image.source.lower()} images only the first picture is used")
-        data = np.empty(width * height * image.channels, np.float32)
-        image.pixels.foreach_get(data)
-        data = data.reshape(height, width, image.channels)
-        if image.channels != 4:
-            wide = np.ones((height, width, 4), np.float32)
-            wide[:, :, : image.channels] = data
-            if image.channels == 1:
-                wide[:, :, 1:3] = data
-            data = wide
         space = image.colorspace_settings.name
         if space not in LINEAR and space not in ENCODED:
             lines.append(
                 f"image {image.name!r}: color space {space!r} is read as {'linear' if image.is_float else 'sRGB'}"
             )
-        if image.alpha_mode == "NONE":
-            data[:, :, 3] = 1.0
-        elif associate and image.alpha_mode == "STRAIGHT" and not image.colorspace_settings.is_data:
-            data[:, :, :3] *= data[:, :, 3:]
-        if image.is_float:
-            return Pixels(data, False, tuple(lines), exact)
-        return Pixels((data * 255.0 + 0.5).astype(np.uint8), space not in LINEAR, tuple(lines), exact)
+        straight = image.alpha_mode == "STRAIGHT" and not image.colorspace_settings.is_data
+        alpha = Alpha.MULTIPLIED if associate and straight else Alpha.KEPT
+        alpha = Alpha.IGNORED if image.alpha_mode == "NONE" else alpha
+        srgb = not image.is_float and space not in LINEAR
+        data = texels(self._values(image), height, width, alpha, image.is_float, srgb)
+        return Pixels(data, srgb, tuple(lines), exact)
 
     def add(self, data: F32) -> int:
         """Index of pixels made here, the same for the same ones: (H, W, 4) float32, linear."""
