@@ -19,5 +19,4 @@ def on_files(files: Any, config: Any) -> Any:
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Links out of docs/ are text: the site has no repository beside it."""
-    markdown = re.sub(r"^\[[\w-]+\]: \.\./.*$", "", markdown, flags=re.MULTILINE)
-    return re.sub(r"\[([^\]]+)\](?:\(\.\./[^)]*\)|\[npsearch\])", r"\1", markdown)
+    return re.sub(r"\[([^\]]+)\]\(\.\./[^)]*\)", r"\1", markdown)

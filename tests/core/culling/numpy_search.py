@@ -56,6 +56,16 @@ class Change:
         sigma = np.where(less > 0, self.sigma / np.sqrt(factor), self.sigma)
         return Change(self.error - less, np.maximum(self.average - less, 0), sigma).excess(budget, g) <= 1
 
+    def exceeded(self, budget: tuple[float, float], g: float) -> Array:  # section 7
+        out = np.zeros(T, bool)
+        if self.upper_mean((1 + g) / 2) <= budget[0]:
+            for t in np.argsort((budget[1] - self.error) / np.maximum(self.sigma, 1e-30), kind="stable"):
+                rest = Change(self.error[~out], self.average[~out], self.sigma[~out])
+                if rest.upper_worst((1 + g) / 2) <= budget[1]:
+                    break
+                out[t] = True
+        return out
+
 
 @dataclass
 class Paths:
@@ -74,7 +84,7 @@ class Paths:
         keys, self.block = np.unique(block * T + self.pixel_tile, return_inverse=True)
         self.block_tile, self.half = keys % T, (x[self.pixel] + y[self.pixel] + self.k) % 2
         self.tile = self.pixel_tile[self.pixel]
-        self.n = np.bincount(self.tile, minlength=T)
+        self.n = np.maximum(np.bincount(self.tile, minlength=T), 1)
         light = summed(self.tile, self.light.astype(float), T)
         self.lum, self.bright = (
             self.n * np.maximum(s / self.n, 0.01 * (s / self.n).mean()) for s in (light @ Y, rms(light))
@@ -184,9 +194,12 @@ class Trials:
     """
 
     def __init__(self, paths: Paths, entries: int, retrace: Any) -> None:
-        self.full, self.at, self.culled, self.retrace = paths, paths, np.zeros(entries, bool), retrace
+        self.full, self.at, self.after, self.retrace = paths, paths, paths, retrace
+        self.culled = self.cull = np.zeros(entries, bool)
 
     def propose(self, cull: Array) -> int:
+        if (cull == self.cull).all() and self.after is not self.full:  # traced already
+            return 0
         self.cull, self.affected = cull, self.at.affected(cull & ~self.culled)
         return int(self.affected.sum())
 
