@@ -95,7 +95,7 @@ def save_culled(together: ShotSet, path: Path) -> dict[str, Any]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     written: dict[str, Any] = {}
-    warnings = write_back(~together.active, together.keys, written, together.faces, lasting=True)
+    warnings, _ = write_back(~together.active, together.keys, written, together.faces, lasting=True)
     with muted():
         removed = strip()
     try:
