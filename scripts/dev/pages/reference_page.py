@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
 import json
 import re
 import sys
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
 from lipac.core.files import report_schema
+from lipac.core.files.memory_table import COLUMNS, MemoryRow
 from lipac.scripts.lipac import COMMANDS, ENVIRONMENT, STATUSES
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
@@ -94,9 +97,12 @@ def page() -> str:
         *map(command_text, COMMANDS),
         _statuses(),
         _environment(),
+        "## The panel",
+        *panel(),
         INPUT,
         OUTPUT,
         _report(),
+        _memory(),
     ]
     parts += [STATES + "\n\n" + _table(("array", "type", "shape", "meaning"), _arrays())]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
@@ -167,6 +173,52 @@ def _report() -> str:
     ]
     parts += ["### `totals`", _table(("field", "type", "meaning"), _fields(r.TOTALS))]
     return "\n\n".join(parts)
+
+
+def _memory() -> str:
+    """The columns of memory.csv, as the class that is a row of it says."""
+    text = inspect.cleandoc(MemoryRow.__doc__ or "")
+    columns = ", ".join(f"`{name}`" for name in COLUMNS)
+    return f"## memory.csv\n\n{text}\n\n" + textwrap.fill(f"Columns: {columns}.", 120)
+
+
+def panel() -> list[str]:
+    """What the panel shows, by the add-on's own properties and operators: buttons, settings of a scene, preferences."""
+    from lipac.lipac_addon.ui import operators, submit
+    from lipac.lipac_addon.ui.state import preferences, props
+
+    classes = [c for module in (operators, submit) for c in vars(module).values() if hasattr(c, "bl_label")]
+    buttons = [
+        (c.bl_label, inspect.cleandoc(c.__doc__ or "").split("\n\n")[0].replace("\n", " "))
+        for c in classes
+        if c.__module__.startswith("lipac") and c.__module__.endswith(("operators", "submit"))
+    ]
+    settings = _properties(props.LipacSettings, vars(props))
+    own = _properties(preferences.LipacPreferences, vars(preferences))
+    text = "Live mode, overlay and the rest are explained in the [user guide](user-guide.md)."
+    return [
+        text,
+        "### Buttons\n\n" + _table(("button", "meaning"), buttons),
+        "### Settings of a scene\n\n" + _table(("setting", "default", "meaning"), settings),
+        "### Preferences\n\n" + _table(("preference", "default", "meaning"), own),
+    ]
+
+
+def _properties(owner: type, names: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Label, default and description of Blender's properties of a class, less those that are hidden."""
+    rows = []
+    for annotation in owner.__annotations__.values():
+        found = eval(annotation, names) if isinstance(annotation, str) else annotation
+        given = getattr(found, "keywords", {})
+        if "name" not in given or "HIDDEN" in given.get("options", ()):
+            continue
+        default = given.get("default", "off" if found.function.__name__ == "BoolProperty" else "")
+        if isinstance(default, bool):
+            default = "on" if default else "off"
+        rows.append(
+            (given["name"], f"{default:g}" if isinstance(default, float) else str(default), given["description"])
+        )
+    return rows
 
 
 def _fields(table: dict[str, tuple[dict[str, Any], str]]) -> Iterator[tuple[str, str, str]]:
