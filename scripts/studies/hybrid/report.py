@@ -4,6 +4,7 @@ time."""
 from __future__ import annotations
 
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +42,23 @@ def write_page(output: Path) -> None:
 def sections(folder: Path) -> str:
     """All that the files in a folder say, where there are any."""
     parts = (("hybrid.json", results), ("hybrid_pop.json", pop))
-    return "".join(
+    text = "".join(
         "\n" + section(json.loads((folder / name).read_text())) for name, section in parts if (folder / name).exists()
     )
+    return _wrapped(text)
+
+
+def _wrapped(text: str) -> str:
+    """Markdown whose prose has lines of at most 120 columns."""
+    blocks = [
+        b if not b or b.startswith(("#", "|", "!", "-", "\n#")) else b[: len(b) - len(b.lstrip("\n"))] + _filled(b)
+        for b in text.rstrip("\n").split("\n\n")
+    ]
+    return "\n\n".join(blocks) + "\n" if text else text
+
+
+def _filled(prose: str) -> str:
+    return textwrap.fill(prose.strip("\n"), 120, break_long_words=False, break_on_hyphens=False)
 
 
 def pictures_folder(output: Path) -> Path:
