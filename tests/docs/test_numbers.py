@@ -23,26 +23,30 @@ _FIGURE = re.compile(r"(?<![\w.#])\d[\d,]*(?:\.\d+)?(?![\w]*x\d)")
 CONDITIONS = {"1920", "1080", "320", "180", "4", "32", "128", "5", "2", "1"}
 
 
-def quoted(page: Path) -> list[tuple[str, str, str]]:
-    """Of rows of tables that name a source: the row, each figure in it, and the page that should have it."""
+def quoted(page: Path) -> list[tuple[str, str, set[str]]]:
+    """Of rows of tables and paragraphs that name a source: the text, each figure in it, and the pages that may have
+    it."""
+    lines = page.read_text().split("\n")
+    rows = [line for line in lines if line.startswith("|")]
+    paragraphs = "\n".join("" if line.startswith("|") else line for line in lines).split("\n\n")
     found = []
-    for row in page.read_text().splitlines():
-        source = _SOURCE.search(row)
-        if source and row.startswith("|"):
-            text = re.sub(r"\]\([^)]*\)", "]", row)
-            found += [(row, figure.rstrip(","), source[1]) for figure in _FIGURE.findall(text)]
+    for text in rows + paragraphs:
+        sources = set(_SOURCE.findall(text))
+        if sources and "```" not in text:
+            shown = re.sub(r"\]\([^)]*\)", "]", text)
+            found += [(text, figure.rstrip(","), sources) for figure in _FIGURE.findall(shown)]
     return found
 
 
 @pytest.mark.parametrize("page", QUOTING, ids=lambda page: page.name)
 def test_quoted_figures_are_those_of_their_source(page: Path) -> None:
-    """Each figure of a row with a source stands there, as a number of its own."""
+    """Each figure stands there, as a number of its own."""
     rows = quoted(page)
     assert len(rows) > 20
-    for row, figure, source in rows:
-        text = (ROOT / "docs" / source).read_text()
+    for row, figure, sources in rows:
+        text = "\n".join((ROOT / "docs" / source).read_text() for source in sorted(sources))
         there = re.search(rf"(?<![\d.,]){re.escape(figure)}(?![\d]|[.,]\d)", text)
-        assert there or figure in CONDITIONS, f"{page.name}: {figure} is not in {source}: {row}"
+        assert there or figure in CONDITIONS, f"{page.name}: {figure} is not in {sources}: {row}"
 
 
 @pytest.mark.parametrize("page", QUOTING, ids=lambda page: page.name)

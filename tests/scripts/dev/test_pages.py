@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+import yaml
 
 import lipac
 from lipac.core.files.report_schema import STATES
@@ -89,3 +90,20 @@ def boxes_states(tmp_path: Path) -> Path:
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     assert main(["analyze", str(path), "-o", str(tmp_path / "out"), "--quiet"]) == 0
     return tmp_path / "out" / "states" / "frame_0001.npz"
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == lipac.__version__
+    assert {"cff-version", "message", "title", "authors", "license"} <= set(citation)
+    assert citation["references"][0]["doi"] in (ROOT / "docs" / "method.md").read_text()
+
+
+def test_names_of_the_glossary_are_in_the_code() -> None:
+    code = "\n".join(path.read_text() for path in SOURCES)
+    rows = [line for line in (ROOT / "docs" / "glossary.md").read_text().splitlines() if line.startswith("| ")][1:]
+    words = [row.split(" | ")[0].strip("| ").lower() for row in rows]
+    assert words == sorted(words)
+    for row in rows:
+        for name in re.findall(r"`([\w.]+)`", row.rsplit(" | ", 1)[-1]):
+            assert re.search(rf"\b{name.rsplit('.', 1)[-1]}\b", code), f"{name}: {row}"
