@@ -17,8 +17,9 @@ from .pages import PAGES, ROOT, Block, blocks, prose
 
 BLOCKS = [block for page in PAGES for block in blocks(page)]
 RUN = [block for block in BLOCKS if block.language in ("sh", "python") and block.mark not in ("not run", "elsewhere")]
+pytestmark = pytest.mark.slow
 OURS = ("lipac", ".venv/bin/lipac")
-TEXT = ("text", "mermaid")  # what nothing runs
+TEXT = ("text", "mermaid", "math")  # what nothing runs
 
 
 def test_each_block_has_a_language_and_a_reason_where_it_is_not_run() -> None:
