@@ -82,7 +82,7 @@ class GraphReader:
         anew."""
         self.frame += 1
         self.depsgraph, self.layer = depsgraph, depsgraph.view_layer_eval
-        addresses = frozenset(block.as_pointer() for block in depsgraph.ids)
+        addresses = _addresses(depsgraph)
         if goes_on and addresses == self._addresses:
             self.listed = {update.id.as_pointer(): update for update in depsgraph.updates}
         else:
@@ -99,6 +99,10 @@ class GraphReader:
             if node.kind == Kind.COLLECTION:
                 self.members(node.collection)
         return nodes
+
+    def follows(self, depsgraph: Any) -> bool:
+        """Whether a graph that goes on from the last one holds the same data-blocks, so that only what it lists would be read."""
+        return _addresses(depsgraph) == self._addresses
 
     def forget(self) -> None:
         """Keep no reference to a graph that may be gone."""
@@ -255,3 +259,7 @@ class GraphReader:
         value = max([getattr(thing, "changed", 0), *(self.latest(one, known) for one in below)])
         known[id(thing)] = value
         return value
+
+
+def _addresses(depsgraph: Any) -> frozenset[int]:
+    return frozenset(block.as_pointer() for block in depsgraph.ids)

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
+from ..writeback import viewport
 from .draw import overlay
 from .jobs import job, live
 from .state import applying, results
@@ -48,6 +49,21 @@ def after_load(*_: Any) -> None:
             scene.lipac.freeze = False  # the boxes that it kept are gone
     if any(scene.lipac.in_render for scene in bpy.data.scenes):
         applying.restore()
+    viewport.restore()  # of a file that Blender saved by itself
+
+
+@persistent
+def before_save(*_: Any) -> None:
+    """save_pre: what live culling took out of the viewport is not saved."""
+    if live.current is not None:
+        live.current.culling.lift(masks_only=False)
+
+
+@persistent
+def after_save(*_: Any) -> None:
+    """save_post, save_post_fail: it goes out again."""
+    if live.current is not None:
+        live.current.culling.put_back()
 
 
 @persistent
@@ -62,12 +78,17 @@ def before_undo(*_: Any) -> None:
     """undo_pre, redo_pre: all references into the file are about to die."""
     if live.current is not None:
         live.current.forget()
+        live.current.culling.lift(masks_only=True)
 
 
 @persistent
 def after_undo(*_: Any) -> None:
     """undo_post, redo_post: what is hidden may be something else."""
     applying.recount()
+    if live.current is not None:
+        live.current.culling.put_back()
+    else:
+        viewport.restore()  # of a step that was taken while live mode was on
 
 
 _HANDLERS = (
@@ -80,6 +101,9 @@ _HANDLERS = (
     (bpy.app.handlers.render_pre, before_frame),
     (bpy.app.handlers.render_complete, after_render),
     (bpy.app.handlers.render_cancel, after_render),
+    (bpy.app.handlers.save_pre, before_save),
+    (bpy.app.handlers.save_post, after_save),
+    (bpy.app.handlers.save_post_fail, after_save),
     (bpy.app.handlers.load_pre, before_load),
     (bpy.app.handlers.load_post, after_load),
 )

@@ -16,7 +16,7 @@ def register() -> None:
     """Register properties, classes, draw handlers and application handlers."""
     for module in _MODULES:
         module.register()
-    atexit.register(_stop)
+    atexit.register(_stop, quitting=True)
 
 
 def unregister() -> None:
@@ -29,7 +29,7 @@ def unregister() -> None:
         module.unregister()
 
 
-def _stop() -> None:
+def _stop(quitting: bool = False) -> None:
     """End all threads: also when Blender quits, before Python is taken down under them."""
-    live.stop()
+    live.stop(quitting)
     job.stop()

@@ -30,14 +30,14 @@ def add(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32 | None = No
 
     places: (at least R, 3) where they are, in the host's space: those that are elsewhere stay. None: wherever they are.
     """
-    group = next((g for g in bpy.data.node_groups if is_ours(g) and INSTANCES in _inputs(g)), None) or _new_group()
+    group = next((g for g in bpy.data.node_groups if is_ours(g) and INSTANCES in _inputs(g)), None) or new_instance_group()
     append(host, group, NAME, {"Mask": mask_object(rows, places), INSTANCES: places is None})
 
 
 def append(
     host: bpy.types.Object, group: bpy.types.NodeTree, name: str, inputs: dict[str, bpy.types.ID | bool]
-) -> None:
-    """Append a modifier of a node group to an object, for renders alone. inputs: by name."""
+) -> bpy.types.Modifier:
+    """Append a modifier of a node group to an object, for renders alone, and return it. inputs: by name."""
     active = host.modifiers.active
     modifier = host.modifiers.new(name, "NODES")
     modifier.show_viewport = False
@@ -52,6 +52,7 @@ def append(
         _set_input(modifier, sockets[key], value)
     if active is not None:
         host.modifiers.active = active
+    return modifier
 
 
 def remove_all() -> bool:
@@ -77,9 +78,9 @@ def _is_emptied(modifier: bpy.types.Modifier) -> bool:
     return modifier.node_group is None and modifier.name.startswith(NAME)
 
 
-def is_ours(block: bpy.types.ID) -> bool:
+def is_ours(block: bpy.types.ID, mark: str = _MASK) -> bool:
     """Whether a data-block bears our mark, and is what we make: anyone can copy a mark."""
-    if block.get(marks.KEY) != _MASK or block.library is not None:
+    if block.get(marks.KEY) != mark or block.library is not None:
         return False
     if isinstance(block, bpy.types.NodeTree):
         return block.bl_idname == "GeometryNodeTree" and _inputs(block) in (
@@ -131,8 +132,8 @@ def new_group(name: str, inputs: tuple[tuple[str, str], ...]) -> bpy.types.NodeT
     return group
 
 
-def _new_group() -> bpy.types.NodeTree:
-    """The node group: inputs Geometry, Mask (object) and Anywhere, output Geometry."""
+def new_instance_group() -> bpy.types.NodeTree:
+    """The node group that masks instances: inputs Geometry, Mask (object) and Anywhere, output Geometry."""
     group = new_group(NAME, (("Mask", "Object"), (INSTANCES, "Bool")))
     nodes = Nodes(group)
     inputs, output = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")

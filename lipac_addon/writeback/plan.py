@@ -84,7 +84,7 @@ def make_plan(
     of `apply`."""
     if not culled.any() and not faces:
         return Plan((), (), (), (), (), np.zeros(len(culled), bool), {}, {}, {})
-    return _Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan(faces, free)
+    return Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan(faces, free)
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def by_source(columns: Columns, members: Mask) -> Mask:
     return ((kind == Kind.OBJECT) | (kind == Kind.DUPLI) | (parts & members[ob])) & (ob >= 0)
 
 
-class _Planner:
+class Planner:
     """The steps of `make_plan`; `removed` and `reasons` fill up on the way."""
 
     def __init__(self, culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool, in_render: bool) -> None:

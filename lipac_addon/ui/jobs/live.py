@@ -25,9 +25,10 @@ from ..state import applying, props, results, session
 from . import engine, job
 from .background import AskedMeshes, in_thread
 from .viewport import LiveWorld, NotedGraph
+from .viewport_culling import ViewportCulling
 
 if TYPE_CHECKING:
-    from ....core.arrays import I64
+    from ....core.arrays import F32, I64
     from ....core.culling.options import CullOptions
     from ....core.culling.result import CullingResult
     from ....core.culling.shot import Shot
@@ -49,7 +50,8 @@ class Live:
     """Live mode over one view layer of a scene.
 
     message: what it does; error: why it cannot go on before something changes, "" where it can; rounds: done so far;
-    closed: it has ended; read_s: seconds of the main thread that the scene took to read, the last time.
+    closed: it has ended; read_s: seconds of the main thread that the scene took to read, the last time; culling: what
+    the viewport goes without.
     """
 
     def __init__(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
@@ -66,6 +68,7 @@ class Live:
         self._shot: Shot | None = None
         self._rest = 0
         self._next_read = 0.0
+        self.culling = ViewportCulling(self.uid, self.layer)
         self._steps = self._run()
 
     @property
@@ -76,7 +79,8 @@ class Live:
     def note(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Take down what changed in a graph, if it is ours; called by Blender's handlers."""
         if (
-            depsgraph.mode != "VIEWPORT"
+            self.culling.own
+            or depsgraph.mode != "VIEWPORT"
             or depsgraph.view_layer.name != self.layer
             or depsgraph.scene.session_uid != self.uid
         ):
@@ -100,18 +104,30 @@ class Live:
             self._role_changes, self._dirty = props.role_changes, True
         try:
             next(self._steps, None)
+            changed = self._cull_viewport()
         except BaseException:
             self.error = "live mode failed; see the console"
             self.close()
             raise
-        return (self.rounds, self.error) != before
+        return changed or (self.rounds, self.error) != before
 
-    def close(self) -> None:
-        """Stop, and wait until the thread has ended."""
+    def close(self, quitting: bool = False) -> None:
+        """Stop, wait until the thread has ended, and have the viewport show everything. quitting: Blender goes down, nobody looks."""
         self.closed = True
         self._steps.close()  # type: ignore[attr-defined]
+        if not quitting:
+            self.culling.off(None)
         self._reader = self._frame = self._shot = None
         results.live.pop(self.uid, None)
+
+    def _cull_viewport(self) -> bool:
+        """Have the viewport go without what is culled, where that is asked for; True where something changed."""
+        scene = session.find_scene(self.uid)
+        if scene is None or self.layer not in scene.view_layers or is_busy():
+            return False
+        if self.error:
+            return self.culling.off(scene.view_layers[self.layer])
+        return self.culling.step(scene, self.resting)
 
     def _run(self) -> Iterator[None]:
         try:
@@ -174,21 +190,23 @@ class Live:
             raise InputError("culled instances are hidden from renders: Restore to go on")
         layer = scene.view_layers[self.layer]
         layer.update()
-        graph = NotedGraph(layer.depsgraph, self._noted)
+        graph = NotedGraph(layer.depsgraph, self._noted, self.culling.closed(layer))
         self._noted, self._dirty = {}, False
         goes_on, self._goes_on = self._goes_on, False
         world, rendered = self._world.read(scene, layer, graph, goes_on)
         goes_on = goes_on and not rendered
         start = time.perf_counter()
-        self._reader = self._reader or SceneReader()
-        number, frame = scene.frame_current, self._reader.read(graph, goes_on)
+        reader = self._reader = self._reader or SceneReader()
+        with self.culling.everything(layer, graph, lambda: goes_on and reader.graph.follows(graph)):
+            number, frame = scene.frame_current, reader.read(graph, goes_on)
+        self.culling.touch()
         self._goes_on, self._rest, self.error = True, 0, ""
         uids = results.session_uids(frame.keys)
         self.read_s = time.perf_counter() - start
         self._next_read = time.monotonic() + DUTY * self.read_s
         yield
-        extraction = replace(self._reader.finish(frame, world), scatters={})
-        self._frame = _Frame(number, extraction, extraction.change, uids, props.pinned(frame.keys, uids))
+        extraction = replace(reader.finish(frame, world), scatters={})
+        self._frame = _Frame(number, extraction, extraction.change, uids, props.pinned(frame.keys, uids), frame.scatters)
         yield
 
     def _show(self, frame: _Frame, result: CullingResult) -> None:
@@ -198,6 +216,7 @@ class Live:
         same = last is not None and np.array_equal(last.state, now.state) and len(last.regions) == len(now.regions)
         self._rest = self._rest + 1 if same and not result.stats["pending"] else 0
         results.live[self.uid] = now
+        self.culling.take(now, frame.places)
         self.rounds += 1
         self.message = f"frame {frame.number}, {'at rest' if self._rest >= REST else f'round {self.rounds}'}"
 
@@ -209,13 +228,14 @@ class Live:
 
 @dataclass
 class _Frame:
-    """What was read last; change: what the next round has to know of it."""
+    """What was read last; change: what the next round has to know of it; places: of the rows of scatters, by the full name of the host."""
 
     number: int
     extraction: Extraction
     change: Change | None
     uids: I64
     pinned: np.ndarray | None
+    places: dict[str, F32]
 
 
 def _still() -> Change:
@@ -259,20 +279,20 @@ def start() -> None:
         bpy.app.timers.register(tick, first_interval=0.0, persistent=True)
 
 
-def stop() -> None:
-    """Switch it off."""
+def stop(quitting: bool = False) -> None:
+    """Switch it off. quitting: Blender goes down."""
     global _on  # noqa: PLW0603
     _on = False
-    suspend()
+    suspend(quitting)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
 
 
-def suspend() -> None:
-    """Let go of the scene; where live mode is on, the next tick begins anew."""
+def suspend(quitting: bool = False) -> None:
+    """Let go of the scene; where live mode is on, the next tick begins anew. quitting: as of `stop`."""
     global current  # noqa: PLW0603
     if current is not None:
-        current.close()
+        current.close(quitting)
     current = None
 
 

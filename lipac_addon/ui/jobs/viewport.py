@@ -3,11 +3,13 @@ the world."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import bpy
+
+from ...writeback.viewport import is_ours
 
 if TYPE_CHECKING:
     from ...extract import ExtractedWorld
@@ -25,25 +27,37 @@ class Listed:
 
 class NotedGraph:
     """The viewport's dependency graph, with all that changed since it was last read (Blender keeps no more than the
-    latest), and without what renders hide."""
+    latest).
 
-    def __init__(self, depsgraph: bpy.types.Depsgraph, noted: dict[int, bool]) -> None:
-        """noted: by the address of a data-block, whether its geometry changed."""
-        self._depsgraph = depsgraph
-        found = [(block, noted.get(block.as_pointer())) for block in depsgraph.ids] if noted else []
+    Without what renders hide, and what live culling makes for itself; with those objects that are out of the viewport by it.
+    """
+
+    def __init__(self, depsgraph: bpy.types.Depsgraph, noted: dict[int, bool], out: Sequence[bpy.types.Object] = ()) -> None:
+        """noted: by the address of a data-block, whether its geometry changed. out: objects whose eyes live culling has closed."""
+        self._depsgraph, self._out = depsgraph, out
+        self.ids = [block for block in depsgraph.ids if not is_ours(block)]
+        found = [(block, noted.get(block.as_pointer())) for block in self.ids] if noted else []
         self.updates = [Listed(block, geometry) for block, geometry in found if geometry is not None]
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._depsgraph, name)
 
+    def lists_geometry(self, ob: bpy.types.Object) -> bool:
+        """Whether the geometry of an object changed."""
+        return any(update.is_updated_geometry and update.id.original == ob for update in self.updates)
+
     @property
     def objects(self) -> Iterator[Any]:
-        """Objects of the viewport that a render shows, too."""
+        """Objects that a render shows, too."""
         layer = self._depsgraph.view_layer.layer_collection
         unseen = {ob.name_full for c in _hidden(layer) for ob in c.all_objects}
         if unseen:
             unseen -= {ob.name_full for c in _rendered(layer) for ob in c.objects}
-        return (item for item in self._depsgraph.objects if not item.hide_render and item.name_full not in unseen)
+        shown = self._depsgraph.objects
+        if self._out:
+            there = {item.as_pointer() for item in shown} | {ob.evaluated_get(self._depsgraph).as_pointer() for ob in self._out}
+            shown = (item for item in self.ids if item.as_pointer() in there)  # in one order, whatever is out
+        return (item for item in shown if not item.hide_render and item.name_full not in unseen)
 
 
 def _hidden(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Collection]:

@@ -118,6 +118,14 @@ class LipacSettings(bpy.types.PropertyGroup):
         ),
         update=_lock_interface,
     )
+    cull_viewport: BoolProperty(  # type: ignore[valid-type]
+        name="Cull Viewport",
+        description=(
+            "While Live is on, viewports in Rendered shading that look through the camera go without what is culled. "
+            "Renders show it, and the file keeps it"
+        ),
+        update=_redraw,
+    )
     show_overlay: BoolProperty(  # type: ignore[valid-type]
         name="Overlay", description="Draw the analysed instances as boxes in the viewport", update=_redraw
     )

@@ -10,6 +10,8 @@ from collections.abc import Iterable
 import bpy
 import numpy as np
 
+stand_ins: dict[int, tuple[bytes, bytes]] = {}  # by session uid, of scatters that live culling has masked: the print now, and that in full
+
 
 def prints_of(scene: bpy.types.Scene, uids: Iterable[int]) -> dict[int, bytes]:
     """By session uid of those objects that the viewport shows at the scene's frame, a digest of their rows: transforms,
@@ -29,9 +31,19 @@ def prints_of(scene: bpy.types.Scene, uids: Iterable[int]) -> dict[int, bytes]:
         for ob in [ob for ob in layer.objects if ob.session_uid in wanted]:
             evaluated = ob.evaluated_get(graph)
             if evaluated.is_evaluated and ob.visible_get(view_layer=layer):
-                found[ob.session_uid] = _print(evaluated.evaluated_geometry())
+                found[ob.session_uid] = _as_in_full(ob.session_uid, _print(evaluated.evaluated_geometry()))
                 wanted.discard(ob.session_uid)
     return found
+
+
+def print_of(ob: bpy.types.Object, graph: bpy.types.Depsgraph) -> bytes:
+    """The digest of an object of a graph that shows it, as it is."""
+    return _print(ob.evaluated_get(graph).evaluated_geometry())
+
+
+def _as_in_full(uid: int, now: bytes) -> bytes:
+    masked, full = stand_ins.get(uid, (b"", b""))
+    return full if now == masked else now
 
 
 def _print(geometry: bpy.types.GeometrySet) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 
 def find_scene(uid: int) -> bpy.types.Scene | None:
@@ -18,9 +19,18 @@ def is_rendering() -> bool:
 
 def is_edited() -> bool:
     """Whether something is in Edit Mode: Blender then gives out no faces of a mesh, and rest poses of armatures."""
+    return bool((_modes() == bpy.types.Object.bl_rna.properties["mode"].enum_items["EDIT"].value).any())
+
+
+def not_in_object_mode() -> list[bpy.types.Object]:
+    """Objects that are edited, sculpted, painted or posed."""
+    return [bpy.data.objects[int(n)] for n in np.flatnonzero(_modes())]
+
+
+def _modes() -> NDArray[np.int32]:
     modes = np.zeros(len(bpy.data.objects), np.int32)
     bpy.data.objects.foreach_get("mode", modes)  # of all: the active object may have become another meanwhile
-    return bool((modes == bpy.types.Object.bl_rna.properties["mode"].enum_items["EDIT"].value).any())
+    return modes
 
 
 def redraw() -> None:
