@@ -46,20 +46,25 @@ def mask_rows(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32) -> N
 
 def unmask(hosts: Iterable[bpy.types.Object] | None = None) -> bool:
     """Bring all rows of some hosts back, None: of all that the file has; True where there was something."""
-    gone: list[bpy.types.ID] = []
-    every = hosts is None
+    holders: set[bpy.types.Object] = set()
     found = False
-    for host in bpy.data.objects if hosts is None else hosts:
-        for modifier in [m for m in host.modifiers if _is_mask(m)] if host.is_editable else ():
-            gone += [block for holder in mask_inputs(modifier) for block in (holder, holder.data)]
+    for host in masked() if hosts is None else hosts:
+        for modifier in [m for m in host.modifiers if _is_mask(m)]:
+            holders.update(mask_inputs(modifier))
             host.modifiers.remove(modifier)
             found = True
-    if every:  # also what nobody uses
+    gone: list[bpy.types.ID] = [block for holder in holders if not holder.users for block in (holder, holder.data)]
+    if hosts is None:  # also what nobody uses
         kinds = (bpy.data.node_groups, bpy.data.objects, bpy.data.meshes)
         gone = [block for kind in kinds for block in kind if mask.is_ours(block, _MARK)]
     if gone:
         bpy.data.batch_remove(gone)
     return found or bool(gone)
+
+
+def masked() -> list[bpy.types.Object]:
+    """Objects with a mask, also copies that the user made of such."""
+    return [ob for ob in bpy.data.objects if len(ob.modifiers) and ob.is_editable and any(_is_mask(m) for m in ob.modifiers)]
 
 
 def set_masks_shown(hosts: Iterable[bpy.types.Object], shown: bool) -> None:

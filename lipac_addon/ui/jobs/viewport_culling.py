@@ -110,10 +110,12 @@ class ViewportCulling:
         """
         hosts = self._hosts()
         changed = {uid: ob for uid, ob in hosts.items() if graph.lists_geometry(ob)}
-        rest = [] if not hosts or follows() else [ob for uid, ob in hosts.items() if uid not in changed]
-        if changed or rest:
+        goes_on = not hosts or follows()
+        rest = [] if goes_on else [ob for uid, ob in hosts.items() if uid not in changed]
+        copies = [] if goes_on else [ob for ob in viewport.masked() if ob.session_uid not in hosts]
+        if changed or rest or copies:
             with self._ours(layer):
-                viewport.unmask(changed.values())
+                viewport.unmask([*changed.values(), *copies])
                 viewport.set_masks_shown(rest, False)
         for uid in changed:
             self._forget_host(uid)

@@ -3,16 +3,21 @@ them.
 
 Each sequence is worked through twice on the same scene: once with everything, ending with Restore, where each edit
 notes what it did; then the notes alone. Every property, modifier, data-block, keyframe and node link must be the same.
-One thing nobody can tell is left out: that a user hides again what was hidden already.
+One thing nobody can tell is left out: that a user hides again what was hidden already. Live culling of the viewport is
+switched on and off in between, and lives through edits, undo and files.
 """
 
 import tempfile
+import time
 
 import bpy
 import numpy as np
 import pytest
 
+from lipac.lipac_addon.ui.jobs import live, viewport_culling
 from lipac.lipac_addon.ui.state import props
+from lipac.lipac_addon.writeback import viewport
+from lipac.tests.lipac_addon.ui.jobs.test_viewport_culling import look
 from lipac.tests.lipac_addon.writeback.conftest import collection, custom, empty, link, plain, points, scatter, triangle
 
 SEQUENCES = 200
@@ -95,6 +100,14 @@ def show_or_hide(rng):
     if value and ob(name).get("lipac_writeback"):
         return None  # it was hidden by us, and shown by the user since
     return lambda: setattr(ob(name), "hide_render", value)
+
+
+def close_or_open_eye(rng):
+    name = mine(rng)
+    value = not ob(name).hide_get()
+    if not value and ob(name) in viewport.closed_eyes(bpy.context.view_layer):
+        return None  # we closed it, and it is open for the user
+    return lambda: ob(name).hide_set(value)
 
 
 def show_or_hide_collection(rng):
@@ -202,18 +215,8 @@ def save_and_open(rng):
 
 
 EDITS = (
-    *(
-        move,
-        rename,
-        show_or_hide,
-        show_or_hide_collection,
-        new_object,
-        copy_object,
-        remove_object,
-        new_modifier,
-        remove_modifier,
-        set_modifier,
-    ),
+    *(move, rename, show_or_hide, close_or_open_eye, show_or_hide_collection, new_object, copy_object, remove_object),
+    *(new_modifier, remove_modifier, set_modifier),
     *(activate_modifier, key_location, key_visibility, new_collection, mark, custom_property, save_and_open),
 )
 
@@ -226,8 +229,10 @@ def ours(rng: np.random.Generator) -> None:
         bpy.ops.render.render()
         bpy.context.scene.lipac.use_for_renders = False
         return
-    what = rng.integers(6)
-    if what == 0 or (what < 4 and not lipac.apply.poll()):
+    what = rng.integers(9)
+    if what > 5:
+        cull_viewport(rng)
+    elif what == 0 or (what < 4 and not lipac.apply.poll()):
         lipac.analyze()
     elif what == 1:
         bpy.ops.ed.undo_push(message="before")
@@ -241,6 +246,31 @@ def ours(rng: np.random.Generator) -> None:
         lipac.restore()
     else:
         lipac.bake_shot()
+
+
+def cull_viewport(rng: np.random.Generator) -> None:
+    """Live culling: off, or on for some while, and now and then a step of undo in the midst of it."""
+    if rng.random() < 0.3:
+        live.stop()
+        return
+    look()
+    bpy.context.scene.lipac.cull_viewport = True
+    if not live.is_on():
+        live.start()
+    if rng.integers(2):
+        bpy.ops.lipac.restore()  # it waits while something is applied
+    bpy.ops.ed.undo_push(message="before")
+    for _ in range(int(rng.integers(20, 400))):
+        live.tick()
+        if live.current.resting and not rng.integers(3):
+            break
+        time.sleep(0.0005)
+    if rng.random() < 0.3:
+        bpy.ops.ed.undo_push(message="culled")
+        bpy.ops.ed.undo()
+        live.tick()
+        if rng.integers(2):
+            bpy.ops.ed.redo()
 
 
 def snapshot() -> dict:
@@ -263,7 +293,9 @@ def snapshot() -> dict:
         values["active modifier"] = item.modifiers.active.name if item.modifiers.active else None
         values["in"] = sorted(c.name for c in item.users_collection)
         values["role"] = item.lipac_role
+        values["eye"] = item.hide_get()
         values["data"] = item.data.name if item.data else None
+    found["view layer"] = sorted(bpy.context.view_layer.keys())
     for c in (*bpy.data.collections, bpy.context.scene.collection):
         found["members", c.name] = [o.name for o in c.objects], [x.name for x in c.children]
     for action in bpy.data.actions:
@@ -291,8 +323,10 @@ def explain(with_us: dict, without: dict) -> dict:
 
 
 @pytest.fixture
-def start(ui, tmp_path):
+def start(ui, tmp_path, monkeypatch):
     """Opens the scene."""
+    for name in ("INTERVAL", "DUTY", "PATIENCE", "QUIET", "GRACE"):
+        monkeypatch.setattr(viewport_culling, name, 0.0)
     build()
     path = str(tmp_path / "start.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
@@ -302,7 +336,7 @@ def start(ui, tmp_path):
 
 @pytest.mark.parametrize("block", range(10))
 def test_as_the_user_left_it(start, block):
-    touched = 0
+    touched = culled = 0
     for seed in range(block * SEQUENCES // 10, (block + 1) * SEQUENCES // 10):
         rng = np.random.default_rng(seed)
         start()
@@ -310,7 +344,8 @@ def test_as_the_user_left_it(start, block):
         for _ in range(STEPS):
             if rng.integers(2):
                 ours(rng)
-                touched += any(item.get("lipac_writeback") for item in bpy.data.objects)
+                touched += any(item.get("lipac_writeback") for item in bpy.data.objects if item.users_collection)
+                culled += bool(viewport.masked() or viewport.closed_eyes(bpy.context.view_layer))
                 continue
             edit = EDITS[rng.integers(len(EDITS))]
             note = edit(rng)
@@ -318,6 +353,7 @@ def test_as_the_user_left_it(start, block):
                 note()
                 notes.append((edit.__name__, note))
                 bpy.context.view_layer.update()
+        live.stop()
         bpy.ops.lipac.restore()
         bpy.context.view_layer.update()
         with_us = snapshot()
@@ -327,4 +363,4 @@ def test_as_the_user_left_it(start, block):
             bpy.context.view_layer.update()
         without = snapshot()
         assert with_us == without, f"seed {seed}: {[name for name, _ in notes]}: {explain(with_us, without)}"
-    assert touched > 20  # or nothing was tried
+    assert (touched > 20, culled > 5) == (True, True)  # or nothing was tried
