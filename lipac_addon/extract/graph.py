@@ -62,7 +62,7 @@ class GraphReader:
     is, and compared with what was there. What Blender's memory is referred to by is forgotten with the graph.
 
     After `read`: names (name to index, never fewer), geometry (meshes and their materials), unsupported (lines), frame
-    (a count).
+    (a count), addresses (where the graph's data-blocks are).
     """
 
     def __init__(self) -> None:
@@ -74,7 +74,7 @@ class GraphReader:
         self._nodes: dict[int, Node] = {}
         self._members: dict[int, Members] = {}
         self._before: dict[str, Node | Members] = {}  # of another graph
-        self._addresses: frozenset[int] = frozenset()
+        self.addresses: frozenset[int] = frozenset()
         self._order: list[Node] = []
 
     def read(self, depsgraph: Any, goes_on: bool) -> list[Node]:
@@ -82,12 +82,12 @@ class GraphReader:
         anew."""
         self.frame += 1
         self.depsgraph, self.layer = depsgraph, depsgraph.view_layer_eval
-        addresses = _addresses(depsgraph)
-        if goes_on and addresses == self._addresses:
+        addresses = addresses_of(depsgraph)
+        if goes_on and addresses == self.addresses:
             self.listed = {update.id.as_pointer(): update for update in depsgraph.updates}
         else:
             self.forget()
-        self._addresses = addresses
+        self.addresses = addresses
         self._lamps_listed = self.listed is None or any(
             "NodeTree" in type(update.id).__name__ for update in self.listed.values()
         )
@@ -100,10 +100,6 @@ class GraphReader:
                 self.members(node.collection)
         return nodes
 
-    def follows(self, depsgraph: Any) -> bool:
-        """Whether a graph that goes on from the last one holds the same data-blocks, so that only what it lists would be read."""
-        return _addresses(depsgraph) == self._addresses
-
     def forget(self) -> None:
         """Keep no reference to a graph that may be gone."""
         for node in self._nodes.values():
@@ -114,7 +110,7 @@ class GraphReader:
             self._before = {f"object {node.full_name}": node for node in self._nodes.values()}
             self._before |= {f"collection {members.full_name}": members for members in self._members.values()}
         self.geometry.forget()
-        self._nodes, self._members, self.listed, self._addresses = {}, {}, None, frozenset()
+        self._nodes, self._members, self.listed, self.addresses = {}, {}, None, frozenset()
 
     # Objects
 
@@ -261,5 +257,6 @@ class GraphReader:
         return value
 
 
-def _addresses(depsgraph: Any) -> frozenset[int]:
+def addresses_of(depsgraph: Any) -> frozenset[int]:
+    """Where a graph's data-blocks are: graphs of the same ones go on from each other."""
     return frozenset(block.as_pointer() for block in depsgraph.ids)

@@ -56,14 +56,14 @@ def after_load(*_: Any) -> None:
 def before_save(*_: Any) -> None:
     """save_pre: what live culling took out of the viewport is not saved."""
     if live.current is not None:
-        live.current.culling.lift(masks_only=False)
+        live.current.culling.switches.lift(masks_only=False)
 
 
 @persistent
 def after_save(*_: Any) -> None:
     """save_post, save_post_fail: it goes out again."""
     if live.current is not None:
-        live.current.culling.put_back()
+        live.current.culling.switches.put_back()
 
 
 @persistent
@@ -78,7 +78,7 @@ def before_undo(*_: Any) -> None:
     """undo_pre, redo_pre: all references into the file are about to die."""
     if live.current is not None:
         live.current.forget()
-        live.current.culling.lift(masks_only=True)
+        live.current.culling.switches.lift(masks_only=True)
 
 
 @persistent
@@ -86,7 +86,7 @@ def after_undo(*_: Any) -> None:
     """undo_post, redo_post: what is hidden may be something else."""
     applying.recount()
     if live.current is not None:
-        live.current.culling.put_back()
+        live.current.culling.switches.put_back()
     else:
         viewport.restore()  # of a step that was taken while live mode was on
 

@@ -30,7 +30,9 @@ def add(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32 | None = No
 
     places: (at least R, 3) where they are, in the host's space: those that are elsewhere stay. None: wherever they are.
     """
-    group = next((g for g in bpy.data.node_groups if is_ours(g) and INSTANCES in _inputs(g)), None) or new_instance_group()
+    group = (
+        next((g for g in bpy.data.node_groups if is_ours(g) and INSTANCES in _inputs(g)), None) or new_instance_group()
+    )
     append(host, group, NAME, {"Mask": mask_object(rows, places), INSTANCES: places is None})
 
 

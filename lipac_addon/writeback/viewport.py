@@ -1,10 +1,14 @@
-"""What the viewport goes without, by switches of the viewport alone: no render, of this session or of another, looks at them.
+"""What the viewport goes without, by switches of the viewport alone: no render, of this session or of another, looks at
+them.
 
-- Single rows of geometry nodes: a mask modifier as of `mask`, shown in the viewport and not in renders. A row goes only while its instance is where it was.
-- Objects as a whole: the eye of the view layer. What it closes Blender goes on to evaluate, so the analysis still sees it.
+- Single rows of geometry nodes: a mask modifier as of `mask`, shown in the viewport and not in renders. A row goes only
+  while its instance is where it was.
+- Objects as a whole: the eye of the view layer. What it closes Blender goes on to evaluate, so the analysis still sees
+  it.
 
-The record is kept where the switch is, so that an undo never parts them: a view layer names the objects whose eyes were closed, by a custom property; the node
-group of the modifier bears a mark. So all is found again after undo, a crash, or in a file that was saved by an autosave.
+The record is kept where the switch is, so that an undo never parts them: a view layer names the objects whose eyes were
+closed, by a custom property; the node group of the modifier bears a mark. So all is found again after undo, a crash, or
+in a file that was saved by an autosave.
 """
 
 from __future__ import annotations
@@ -27,17 +31,20 @@ _MARK = "viewport mask"  # of node groups, mask objects and their meshes
 
 
 def mask_rows(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32) -> None:
-    """Take the rows (R,) bool of a host's instance cloud out of the viewport, all others back in. places: (at least R, 3) where they are, in its own space."""
+    """Take the rows (R,) bool of a host's instance cloud out of the viewport, all others back in. places: (at least R,
+    3) where they are, in its own space."""
     modifier = _mask_of(host)
     if modifier is not None:
-        holder = next((block for block in mask_inputs(modifier) if block.data is not None and len(block.data.vertices) == len(rows)), None)
-        if holder is not None:
+        holder = next(mask_inputs(modifier), None)
+        if holder is not None and len(holder.data.vertices) == len(rows):
             holder.data.attributes[mask.ATTRIBUTE].data.foreach_set("value", rows)
             holder.data.attributes["position"].data.foreach_set("vector", _flat(places, len(rows)))
             holder.data.update()
             return
         unmask([host])
-    group = next((g for g in bpy.data.node_groups if mask.is_ours(g, _MARK)), None) or _claimed(mask.new_instance_group())
+    group = next((g for g in bpy.data.node_groups if mask.is_ours(g, _MARK)), None) or _claimed(
+        mask.new_instance_group()
+    )
     holder = _claimed(mask.mask_object(rows, places))
     _claimed(holder.data)
     modifier = mask.append(host, group, NAME, {"Mask": holder, mask.INSTANCES: False})
@@ -64,7 +71,9 @@ def unmask(hosts: Iterable[bpy.types.Object] | None = None) -> bool:
 
 def masked() -> list[bpy.types.Object]:
     """Objects with a mask, also copies that the user made of such."""
-    return [ob for ob in bpy.data.objects if len(ob.modifiers) and ob.is_editable and any(_is_mask(m) for m in ob.modifiers)]
+    return [
+        ob for ob in bpy.data.objects if len(ob.modifiers) and ob.is_editable and any(_is_mask(m) for m in ob.modifiers)
+    ]
 
 
 def set_masks_shown(hosts: Iterable[bpy.types.Object], shown: bool) -> None:
@@ -122,7 +131,8 @@ def close_eyes(layer: bpy.types.ViewLayer, objects: Iterable[bpy.types.Object]) 
 
 
 def open_eyes(layer: bpy.types.ViewLayer, objects: Iterable[bpy.types.Object] | None = None) -> bool:
-    """Show objects again that `close_eyes` hid, None: all of them; True where there was something. Those that the user showed since are only forgotten."""
+    """Show objects again that `close_eyes` hid, None: all of them; True where there was something. Those that the user
+    showed since are only forgotten."""
     record = _record(layer)
     wanted = record.keys() if objects is None else record.keys() & {str(ob.session_uid) for ob in objects}
     for key in wanted:

@@ -13,9 +13,11 @@ from .references import simulates
 def viewport_plan(
     culled: Mask, keys: Keys, scene: bpy.types.Scene
 ) -> tuple[tuple[bpy.types.Object, ...], tuple[tuple[bpy.types.Object, Mask], ...], Mask]:
-    """Objects whose eyes to close, hosts with their (R,) bool rows to take out, and (N,) bool, the instances that go by that.
+    """Objects whose eyes to close, hosts with their (R,) bool rows to take out, and (N,) bool, the instances that go by
+    that.
 
-    culled: (N,) bool of the instances of keys. An eye hides an object and what it instances, and nothing that others instance of it.
+    culled: (N,) bool of the instances of keys. An eye hides an object and what it instances, and nothing that others
+    instance of it.
     """
     planner = _ViewportPlanner(culled, keys, scene, False, False)
     hidden = planner.hidden_objects()

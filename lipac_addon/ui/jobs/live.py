@@ -79,7 +79,7 @@ class Live:
     def note(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Take down what changed in a graph, if it is ours; called by Blender's handlers."""
         if (
-            self.culling.own
+            self.culling.switches.own
             or depsgraph.mode != "VIEWPORT"
             or depsgraph.view_layer.name != self.layer
             or depsgraph.scene.session_uid != self.uid
@@ -112,11 +112,12 @@ class Live:
         return changed or (self.rounds, self.error) != before
 
     def close(self, quitting: bool = False) -> None:
-        """Stop, wait until the thread has ended, and have the viewport show everything. quitting: Blender goes down, nobody looks."""
+        """Stop, wait until the thread has ended, and have the viewport show everything. quitting: Blender goes down,
+        nobody looks."""
         self.closed = True
         self._steps.close()  # type: ignore[attr-defined]
         if not quitting:
-            self.culling.off(None)
+            self.culling.close()
         self._reader = self._frame = self._shot = None
         results.live.pop(self.uid, None)
 
@@ -183,6 +184,7 @@ class Live:
     def _read(self, scene: bpy.types.Scene) -> Iterator[None]:
         """Read the viewport's graph in one tick, find out what changed in another. Raises InputError where there is
         nothing to trace."""
+        from ...extract.graph import addresses_of
         from ...extract.scene import SceneReader
 
         if applying.marks():
@@ -190,14 +192,15 @@ class Live:
             raise InputError("culled instances are hidden from renders: Restore to go on")
         layer = scene.view_layers[self.layer]
         layer.update()
-        graph = NotedGraph(layer.depsgraph, self._noted, self.culling.closed(layer))
+        graph = NotedGraph(layer.depsgraph, self._noted, self.culling.switches.closed(layer))
         self._noted, self._dirty = {}, False
         goes_on, self._goes_on = self._goes_on, False
         world, rendered = self._world.read(scene, layer, graph, goes_on)
         goes_on = goes_on and not rendered
         start = time.perf_counter()
         reader = self._reader = self._reader or SceneReader()
-        with self.culling.everything(layer, graph, lambda: goes_on and reader.graph.follows(graph)):
+        same = goes_on and reader.graph.addresses == addresses_of(graph)
+        with self.culling.switches.everything(layer, graph, same):
             number, frame = scene.frame_current, reader.read(graph, goes_on)
         self.culling.touch()
         self._goes_on, self._rest, self.error = True, 0, ""
@@ -206,7 +209,9 @@ class Live:
         self._next_read = time.monotonic() + DUTY * self.read_s
         yield
         extraction = replace(reader.finish(frame, world), scatters={})
-        self._frame = _Frame(number, extraction, extraction.change, uids, props.pinned(frame.keys, uids), frame.scatters)
+        self._frame = _Frame(
+            number, extraction, extraction.change, uids, props.pinned(frame.keys, uids), frame.scatters
+        )
         yield
 
     def _show(self, frame: _Frame, result: CullingResult) -> None:
@@ -228,7 +233,8 @@ class Live:
 
 @dataclass
 class _Frame:
-    """What was read last; change: what the next round has to know of it; places: of the rows of scatters, by the full name of the host."""
+    """What was read last; change: what the next round has to know of it; places: of the rows of scatters, by the full
+    name of the host."""
 
     number: int
     extraction: Extraction

@@ -29,11 +29,15 @@ class NotedGraph:
     """The viewport's dependency graph, with all that changed since it was last read (Blender keeps no more than the
     latest).
 
-    Without what renders hide, and what live culling makes for itself; with those objects that are out of the viewport by it.
+    Without what renders hide, and what live culling makes for itself; with those objects that are out of the viewport
+    by it.
     """
 
-    def __init__(self, depsgraph: bpy.types.Depsgraph, noted: dict[int, bool], out: Sequence[bpy.types.Object] = ()) -> None:
-        """noted: by the address of a data-block, whether its geometry changed. out: objects whose eyes live culling has closed."""
+    def __init__(
+        self, depsgraph: bpy.types.Depsgraph, noted: dict[int, bool], out: Sequence[bpy.types.Object] = ()
+    ) -> None:
+        """noted: by the address of a data-block, whether its geometry changed. out: objects whose eyes live culling has
+        closed."""
         self._depsgraph, self._out = depsgraph, out
         self.ids = [block for block in depsgraph.ids if not is_ours(block)]
         found = [(block, noted.get(block.as_pointer())) for block in self.ids] if noted else []
@@ -55,7 +59,9 @@ class NotedGraph:
             unseen -= {ob.name_full for c in _rendered(layer) for ob in c.objects}
         shown = self._depsgraph.objects
         if self._out:
-            there = {item.as_pointer() for item in shown} | {ob.evaluated_get(self._depsgraph).as_pointer() for ob in self._out}
+            there = {item.as_pointer() for item in shown} | {
+                ob.evaluated_get(self._depsgraph).as_pointer() for ob in self._out
+            }
             shown = (item for item in self.ids if item.as_pointer() in there)  # in one order, whatever is out
         return (item for item in shown if not item.hide_render and item.name_full not in unseen)
 

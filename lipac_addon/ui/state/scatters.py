@@ -10,7 +10,8 @@ from collections.abc import Iterable
 import bpy
 import numpy as np
 
-stand_ins: dict[int, tuple[bytes, bytes]] = {}  # by session uid, of scatters that live culling has masked: the print now, and that in full
+# By session uid, of scatters that live culling has masked: the print now, and that in full
+stand_ins: dict[int, tuple[bytes, bytes]] = {}
 
 
 def prints_of(scene: bpy.types.Scene, uids: Iterable[int]) -> dict[int, bytes]:

@@ -14,10 +14,10 @@ import bpy
 import numpy as np
 import pytest
 
-from lipac.lipac_addon.ui.jobs import live, viewport_culling
+from lipac.lipac_addon.ui.jobs import live
 from lipac.lipac_addon.ui.state import props
 from lipac.lipac_addon.writeback import viewport
-from lipac.tests.lipac_addon.ui.jobs.test_viewport_culling import look
+from lipac.tests.lipac_addon.ui.jobs.test_viewport_culling import look, no_waiting
 from lipac.tests.lipac_addon.writeback.conftest import collection, custom, empty, link, plain, points, scatter, triangle
 
 SEQUENCES = 200
@@ -248,7 +248,7 @@ def ours(rng: np.random.Generator) -> None:
         lipac.bake_shot()
 
 
-def cull_viewport(rng: np.random.Generator) -> None:
+def cull_viewport(rng):
     """Live culling: off, or on for some while, and now and then a step of undo in the midst of it."""
     if rng.random() < 0.3:
         live.stop()
@@ -325,8 +325,7 @@ def explain(with_us: dict, without: dict) -> dict:
 @pytest.fixture
 def start(ui, tmp_path, monkeypatch):
     """Opens the scene."""
-    for name in ("INTERVAL", "DUTY", "PATIENCE", "QUIET", "GRACE"):
-        monkeypatch.setattr(viewport_culling, name, 0.0)
+    no_waiting(monkeypatch)
     build()
     path = str(tmp_path / "start.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
