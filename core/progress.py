@@ -37,13 +37,29 @@ def clock(seconds: float) -> str:
     return f"{hours}:{m:02}:{s:02}" if hours else f"{m}:{s:02}"
 
 
+class Pace:
+    """How long work takes, in words: the time left is extrapolated from the fraction done since it was first known."""
+
+    def __init__(self, now: float) -> None:
+        """now: seconds of whatever clock."""
+        self.start = now
+        self.first: float | None = None
+
+    def words(self, fraction: float, now: float) -> str:
+        """Time spent and, where it can be told, time left: `12 s, 40 s left`. fraction: NaN where it is not known."""
+        if self.first is None and not math.isnan(fraction):
+            self.start, self.first = now, fraction
+        spent, done = now - self.start, fraction - (self.first or 0.0)
+        left = f", {clock(spent * (1.0 - fraction) / done)} left" if done > 0.01 and spent > 1.0 else ""
+        return clock(spent) + left
+
+
 class Terminal:
     """A `Progress` that writes to a text stream: one line that is rewritten on a terminal, a line every few seconds
     into a file or pipe.
 
-    The time left is extrapolated from the fraction done since the first call. `close()` (or leaving the `with` block)
-    clears the line. Nothing is written any more once the stream has refused it: its reader has gone, or its disk is
-    full.
+    `close()` (or leaving the `with` block) clears the line. Nothing is written any more once the stream has refused it:
+    its reader has gone, or its disk is full.
     """
 
     def __init__(self, stream: TextIO, now: Callable[[], float] = time.monotonic) -> None:
@@ -52,16 +68,14 @@ class Terminal:
         self.now = now
         self.rewrite = stream.isatty()
         self.interval = 0.1 if self.rewrite else 5.0
-        self.start = now()
-        self.first: float | None = None
-        self.last = self.start if not self.rewrite else -1e9
+        self.pace = Pace(now())
+        self.last = self.pace.start if not self.rewrite else -1e9
         self.width = 0
         self.lost = False
 
     def __call__(self, fraction: float, what: str) -> None:
         now = self.now()
-        if self.first is None and not math.isnan(fraction):
-            self.start, self.first = now, fraction
+        self.pace.words(fraction, now)
         if self.lost or now - self.last < self.interval:
             return
         self.last = now
@@ -69,11 +83,10 @@ class Terminal:
 
     def line(self, fraction: float, what: str, now: float) -> str:
         """The text of one update: percentage, what is done, time spent and time left."""
+        times = self.pace.words(fraction, now)
         if math.isnan(fraction):
-            return f"      {what} ({clock(now - self.start)})"
-        spent, done = now - self.start, fraction - (self.first or 0.0)
-        left = f", {clock(spent * (1.0 - fraction) / done)} left" if done > 0.01 and spent > 1.0 else ""
-        return f"{100 * min(max(fraction, 0.0), 1.0):3.0f} % {what} ({clock(spent)}{left})"
+            return f"      {what} ({times})"
+        return f"{100 * min(max(fraction, 0.0), 1.0):3.0f} % {what} ({times})"
 
     def _write(self, text: str) -> None:
         self._put("\r" + text.ljust(self.width) if self.rewrite else text + "\n")

@@ -11,6 +11,7 @@ _DOCS = Path(__file__).parents[2] / "docs"
 _MANUAL = (
     ("bpy.types.lipacsettings.show_*", "overlay"),
     *((f"bpy.types.lipacsettings.{name}", "overlay") for name in ("opacity", "in_front", "freeze", "heat_map")),
+    ("bpy.types.lipacsettings.cull_viewport", "culling-in-the-viewport"),
     ("bpy.types.lipacsettings.*", "settings"),
     *((f"bpy.types.{owner}.lipac_role", "pin-and-ignore") for owner in ("object", "collection")),
     ("bpy.types.lipacpreferences.*", "preferences"),

@@ -112,7 +112,7 @@ class LIPAC_OT_live(Explained, bpy.types.Operator):
 
     bl_idname = "lipac.live"
     bl_label = "Live"
-    bl_options: ClassVar[set[str]] = {"REGISTER"}
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}  # of the overlay, which it switches on
 
     @classmethod
     def obstacle(cls, _context: bpy.types.Context) -> str:

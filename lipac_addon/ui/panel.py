@@ -15,12 +15,12 @@ from .operators import (
     LIPAC_OT_analyze,
     LIPAC_OT_apply,
     LIPAC_OT_bake_shot,
-    LIPAC_OT_cancel,
     LIPAC_OT_difference,
     LIPAC_OT_live,
     LIPAC_OT_mark,
     LIPAC_OT_restore,
 )
+from .overview import draw_live, draw_overview, draw_running, draw_without_engine, write
 from .state import applying, props, results
 from .submit import LIPAC_OT_submit_shot
 
@@ -63,11 +63,10 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.lipac
         if engine.missing():
-            column = layout.column(align=True)
-            column.alert = True
-            for line in lines(f"LiPaC cannot run: missing {', '.join(engine.missing())}. Please {engine.REINSTALL}."):
-                column.label(text=line)
+            why = f"LiPaC cannot run: missing {', '.join(engine.missing())}. Please {engine.REINSTALL}."
+            draw_without_engine(layout, context.scene, why)
             return
+        draw_overview(layout, context.scene)
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(settings, "policy")
@@ -80,28 +79,14 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
             column.prop(settings, "worst_error")
         layout.prop(settings, "frames")
         if job.running is not None and not job.running.done:
-            row = layout.row(align=True)
-            row.progress(factor=job.running.progress, text=f"{100 * job.running.progress:.0f} %")
-            row.operator(LIPAC_OT_cancel.bl_idname, text="", icon="CANCEL")
-            column = layout.column(align=True)
-            for line in lines(job.running.message):
-                column.label(text=line)
-            if job.running.compiled:
-                column.label(text=f"Compiling, once: {job.running.compiled} kernels so far")
+            draw_running(layout, job.running)
         else:
             row = layout.row(align=True)
             row.operator(LIPAC_OT_analyze.bl_idname, icon="LIGHT_SUN")
             row.operator(LIPAC_OT_live.bl_idname, icon="PLAY" if not live.is_on() else "PAUSE", depress=live.is_on())
-        if live.current is not None:
-            column = layout.column(align=True)
-            column.alert = bool(live.current.error)
-            for line in lines(f"Live: {live.current.error or live.current.message}"):
-                column.label(text=line)
+        draw_live(layout, context.scene)
         if job.running is not None and job.running.error:
-            column = layout.column(align=True)
-            column.alert = not job.running.cancelled
-            for line in lines(job.running.error):
-                column.label(text=line)
+            write(layout, job.running.error, alert=not job.running.cancelled)
         layout.separator()
         row = layout.row(align=True)
         row.operator(LIPAC_OT_apply.bl_idname, depress=settings.applied)
@@ -110,11 +95,6 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
         row.operator(LIPAC_OT_bake_shot.bl_idname)
         row.operator(LIPAC_OT_submit_shot.bl_idname, text="Submit Shot...")
         layout.prop(settings, "use_for_renders")
-        line, alert = applying.status(context.scene)
-        column = layout.column(align=True)
-        column.alert = alert
-        for text in lines(line):
-            column.label(text=text)
         if settings.applied or settings.use_for_renders:
             _lines(layout, applying.notes)
 

@@ -3,7 +3,7 @@
 import io
 import math
 
-from lipac.core.progress import Terminal, clock, part
+from lipac.core.progress import Pace, Terminal, clock, part
 
 
 class Console(io.StringIO):
@@ -51,3 +51,10 @@ def test_parts_nest():
 
 def test_clock():
     assert [clock(s) for s in (0.04, 9.94, 59, 61, 3723)] == ["0.0 s", "9.9 s", "59 s", "1:01", "1:02:03"]
+
+
+def test_the_time_left_is_counted_from_where_it_was_first_known():
+    pace = Pace(100.0)
+    assert pace.words(math.nan, 104.0) == "4.0 s"
+    assert pace.words(0.2, 110.0) == "0.0 s"
+    assert pace.words(0.6, 130.0) == "20 s, 20 s left"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Generator, Iterator
 from typing import ClassVar, TypeVar
@@ -9,6 +10,7 @@ from typing import ClassVar, TypeVar
 import bpy
 
 from ....core.errors import Cancelled, InputError
+from ....core.progress import Pace
 from ..state import kernel_folder, session
 
 LOOK = 0.5  # seconds between looks at how many kernels are compiled
@@ -30,7 +32,14 @@ class Job:
         self.done = self.cancelled = False
         self.compiled, self._kernels, self._looked = 0, kernel_folder.count(), time.monotonic()
         self._uid = scene.session_uid
+        self._pace = Pace(time.monotonic())
         self._steps = self._work()
+
+    @property
+    def line(self) -> str:
+        """What is being done, the time that was spent and, where it can be told, the time left."""
+        fraction = self.progress or math.nan  # loading and reading tell nothing of how long the rest takes
+        return f"{self.message} ({self._pace.words(fraction, time.monotonic())})"
 
     def _work(self) -> Generator[None, None, None]:
         """The steps. Raises Cancelled, InputError and OSError for the user to read."""

@@ -23,7 +23,7 @@ from ...writeback.viewport_plan import viewport_plan
 from ..state import props, results, session
 from .viewport_switches import OutSet, Rows, Switches
 
-INTERVAL = 0.25  # seconds from one change to the next, at least
+INTERVAL = 0.1  # seconds from one change to the next, at least
 DUTY = 4  # times as long as a change took that nothing changes again
 PATIENCE = 2.0  # seconds from one time that something goes to the next, while the picture changes
 WORTH = 0.1  # share of what is shown that must go at once

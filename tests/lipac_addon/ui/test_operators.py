@@ -7,7 +7,7 @@ import pytest
 
 from lipac.core.errors import InputError
 from lipac.lipac_addon.ui import handlers, operators
-from lipac.lipac_addon.ui.jobs import engine, job
+from lipac.lipac_addon.ui.jobs import engine, job, live
 from lipac.lipac_addon.ui.jobs.analysis import AnalysisJob
 from lipac.lipac_addon.ui.state import applying, results, session
 
@@ -287,3 +287,15 @@ def test_an_error_of_ours_leaves_no_timer(scene, monkeypatch):
     assert modal.heard == ["timer removed"]
     assert not job.is_running()
     assert "console" in modal.job.error
+
+
+def test_what_live_switches_on_can_be_undone(scene):
+    bpy.ops.ed.undo_push(message="start")
+    assert bpy.ops.lipac.live("EXEC_DEFAULT", True) == {"FINISHED"}
+    try:
+        assert scene.lipac.show_overlay
+        bpy.ops.ed.undo()
+        assert not bpy.context.scene.lipac.show_overlay
+        assert live.is_on()
+    finally:
+        live.stop()

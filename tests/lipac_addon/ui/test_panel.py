@@ -42,6 +42,27 @@ def test_before_an_analysis(scene, drawn, policy):
     assert "Nothing analyzed yet" in texts[1]
 
 
+def test_the_verdict_comes_first(analyzed, drawn):
+    text = drawn(panel.LIPAC_PT_main)
+    places = [text.index(part) for part in ("Keeps 6 of 10", "Renders show everything", "policy")]
+    assert places == sorted(places)
+    object.__setattr__(results.at(analyzed), "warnings", ("mind the gap",))
+    text = drawn(panel.LIPAC_PT_main)
+    assert text.index("mind the gap") < text.index("policy")
+
+
+def test_live_mode_has_the_switch_for_the_viewport(scene, drawn):
+    assert "cull_viewport" not in drawn(panel.LIPAC_PT_main)
+    live.start()
+    try:
+        live.tick()
+        assert "cull_viewport" in drawn(panel.LIPAC_PT_main)
+        live.current.culling.message = "shows 3 of 10 instances"
+        assert "The viewport shows 3" in drawn(panel.LIPAC_PT_main)
+    finally:
+        live.stop()
+
+
 def test_results_and_reason(analyzed, drawn):
     bpy.context.view_layer.objects.active = bpy.data.objects["box5"]
     texts = {cls.__name__: drawn(cls) for cls in PANELS}
@@ -56,6 +77,13 @@ def test_results_and_reason(analyzed, drawn):
 def test_progress_and_error(scene, drawn):
     running = job.start(lambda: AnalysisJob(scene))
     running.message = "counting sheep"
+    running.progress = 0.25
+    assert " left" not in running.line
+    running._pace.start -= 10
+    running.progress = 0.5
+    assert running.line == "counting sheep (10 s, 20 s left)"  # as commands say it
+    text = drawn(panel.LIPAC_PT_main)
+    assert ("50 %" in text, "s left)" in text, "Cancel" in text) == (True, True, True)
     assert "counting sheep" in drawn(panel.LIPAC_PT_main)
     assert "lipac.cancel" in drawn(panel.LIPAC_PT_main).lower().replace("lipac_ot_", "lipac.")
     running.cancel()
@@ -91,6 +119,8 @@ def test_missing_libraries_are_named(scene, drawn, monkeypatch):
     assert "missing" in text
     assert "embreex" in text
     assert "analyze" not in text.lower()
+    assert "Renders show everything" in text  # a file may have something hidden all the same
+    assert "restore" in text.lower()
     assert not any(cls.poll(bpy.context) for cls in PANELS[1:])
 
 

@@ -1,0 +1,50 @@
+"""What came of an analysis and what renders show, in a line each: what the panel says first."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..state import applying, results
+
+MOST = 3  # warnings that are shown at once; Results has all
+
+
+def verdict(scene: bpy.types.Scene) -> str:
+    """What is kept of the current frame, what that saves and how much it may change; what is not known is said."""
+    result = results.at(scene)
+    if result is None:
+        found = results.of(scene)
+        return f"Frame {scene.frame_current} is not analyzed" if found else "Nothing is analyzed in this session"
+    total = len(result.state)
+    kept = f"Keeps {total - int(result.culled.sum()):,} of {total:,} instances"
+    stats = result.stats
+    if "certified_mean" in stats:
+        change = f"the picture changes by {100 * stats['certified_mean']:.2f} % at most, any tile by "
+        change += f"{100 * stats['certified_worst']:.2g} % (95 % confidence)"
+    else:
+        change = "by how much the picture changes is not certified"
+    measured = results.differences.get((scene.session_uid, result.frame))
+    if measured is None:
+        return f"{kept}; {change}"
+    (full_s, culled_s), _ = measured.seconds, measured.peak_bytes
+    return f"{kept}; renders in {culled_s:.1f} instead of {full_s:.1f} s; {change}"
+
+
+def warnings(scene: bpy.types.Scene) -> list[str]:
+    """The first lines that the analysis of the current frame wants to be read, and how many more there are."""
+    result = results.at(scene)
+    found = [] if result is None else list(result.warnings)
+    more = len(found) - MOST
+    return found if more <= 0 else [*found[:MOST], f"{more} more in Results"]
+
+
+def status(scene: bpy.types.Scene) -> tuple[str, bool]:
+    """What renders of a scene show, and whether that wants a look: `applying.status`, with frames that are not analyzed
+    though renders go by analyses."""
+    line, alert = applying.status(scene)
+    settings, known = scene.lipac, results.of(scene)
+    frames = range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
+    missing = sum(frame not in known for frame in frames)
+    if settings.use_for_renders and not applying.marks() and scene.frame_current in known and 0 < missing < len(frames):
+        line += f". {missing:,} of {len(frames):,} frames of the range are not analyzed: they render in full"
+    return line, alert
