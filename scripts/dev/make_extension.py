@@ -31,6 +31,7 @@ PAGES = (
     "user-guide",
     "write-back",
     "live",
+    "viewport",
     "error",
     "supported",
     "for-my-scene",

@@ -1,0 +1,397 @@
+"""Live culling in the viewport, measured: `python -m lipac.scripts.studies.bench_viewport -o docs/viewport.md`.
+
+The camera of `flythrough` drives through the city while live mode does one round a frame, at 24 frames a second by the
+clock that live culling goes by. Of each frame Cycles renders what the viewport shows, once with all and once culled,
+by the same random numbers. Some frames are drawn by the viewport itself, too (EEVEE, into memory). Then, in cities of
+several sizes, what a change of the set costs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.arrays import F32
+from ...core.evaluation.judge import picture_change
+from ...core.evaluation.metrics import flicker
+from ...core.feedback.tiles import tile_means
+
+if TYPE_CHECKING:
+    from ...lipac_addon.ui.jobs.viewport_switches import OutSet
+
+RATE = 24.0  # frames a second
+SIZE, SAMPLES = (160, 90), 8
+FRAMES = (40, 110)  # with the turn around the corner, a cut away and the cut back
+DRAWN = (76,)
+STARTED = 20  # seconds of the clock for the cold start
+ROUNDS = 1  # of live mode in a frame
+SETTLED = 3  # successive pictures that are the same, after which all shaders are there
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure, write the page, print it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, help="a Markdown file for the page")
+    parser.add_argument("--instances", type=int, default=10_000, help="of the flythrough")
+    parser.add_argument("--frames", type=int, nargs=2, default=FRAMES)
+    parser.add_argument("--drawn", type=int, nargs="*", default=DRAWN, help="frames that the viewport draws")
+    parser.add_argument("--sizes", type=int, nargs="*", default=(10_000, 100_000, 1_000_000))
+    args = parser.parse_args(argv)
+    from ... import register
+
+    register()
+    found = flight(args.instances, range(args.frames[0], args.frames[1] + 1), args.drawn)
+    page = "\n".join([*lines_of(found, args.instances, args.drawn), "", *costs(args.sizes), ""])
+    if args.output:
+        args.output.write_text(page)
+    print(page)
+    return 0
+
+
+def by_cycles(folder: Path) -> F32:
+    """(height, width, 3) float32, linear: the current frame, rendered by Cycles."""
+    import bpy
+
+    from ...lipac_addon.pictures import read_picture, saved_as
+
+    path = folder / "frame.exr"
+    bpy.context.scene.render.filepath = str(path)
+    with saved_as(bpy.context.scene, ".exr"):
+        bpy.ops.render.render(write_still=True)
+    return np.asarray(read_picture(path)[:, :, :3], np.float32)
+
+
+@contextmanager
+def without(out: OutSet, places: dict[int, F32]) -> Iterator[None]:
+    """Have a set out of the viewport, and for once of renders, too."""
+    import bpy
+
+    from ...lipac_addon.writeback import viewport
+
+    layer = bpy.context.view_layer
+    objects = {ob.session_uid: ob for ob in bpy.data.objects}
+    for uid, gone in out.rows.items():
+        viewport.mask_rows(objects[uid], gone, places[uid])
+        objects[uid].modifiers[viewport.NAME].show_render = True
+    eyes = [objects[uid] for uid in out.objects]
+    viewport.close_eyes(layer, eyes)
+    for ob in eyes:
+        ob.hide_render = True
+    yield
+    viewport.restore()
+    for ob in eyes:
+        ob.hide_render = False
+
+
+class Viewport:
+    """A viewport in Rendered shading that looks through the camera, drawn into memory."""
+
+    def __init__(self) -> None:
+        import bpy
+        import gpu
+
+        gpu.init()
+        window = bpy.context.window_manager.windows[0]
+        area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+        self.space = area.spaces.active
+        self.region = next(region for region in area.regions if region.type == "WINDOW")
+        self.space.overlay.show_overlays = False
+        self.target = gpu.types.GPUOffScreen(*SIZE, format="RGBA32F")
+
+    def picture(self) -> F32:
+        """(height, width, 3) float32, linear, rows bottom up: drawn until all shaders are compiled."""
+        import bpy
+
+        scene, same = bpy.context.scene, 0
+        last = np.zeros((0, 0, 3), np.float32)
+        scene.render.engine = "BLENDER_EEVEE"
+        try:
+            while same < SETTLED:
+                now = self._drawn()
+                same = same + 1 if now.any() and np.array_equal(now, last) else 0
+                last = now
+                time.sleep(0.2)
+        finally:
+            scene.render.engine = "CYCLES"
+        return last
+
+    def _drawn(self) -> F32:
+        import bpy
+        import gpu
+
+        layer, camera = bpy.context.view_layer, bpy.context.scene.camera
+        layer.update()
+        view = camera.evaluated_get(layer.depsgraph).matrix_world.inverted()
+        projection = camera.calc_matrix_camera(layer.depsgraph, x=SIZE[0], y=SIZE[1])
+        scene, space = bpy.context.scene, self.space
+        self.target.draw_view3d(scene, layer, space, self.region, view, projection, do_color_management=False)
+        with self.target.bind():
+            buffer = gpu.state.active_framebuffer_get().read_color(0, 0, *SIZE, 4, 0, "FLOAT")
+        return np.array(buffer.to_list(), np.float32)[:, :, :3]
+
+
+@dataclass
+class Flight:
+    """Pictures in full and culled, by Cycles and as drawn, rows of the scatter that were there, and changes of the
+    set."""
+
+    frames: range
+    full: list[F32] = field(default_factory=list)
+    culled: list[F32] = field(default_factory=list)
+    drawn_full: list[F32] = field(default_factory=list)
+    drawn_culled: list[F32] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    changes: int = 0
+
+
+def flight(instances: int, frames: range, drawn: Sequence[int]) -> Flight:
+    """Fly with live culling, then take the pictures, in full and without what was out. drawn: frames that the viewport
+    draws, too."""
+    import bpy
+
+    from ...lipac_addon.demo import build
+
+    build("flythrough", instances)
+    scene, out = bpy.context.scene, Flight(frames)
+    render = scene.render
+    render.resolution_x, render.resolution_y, render.resolution_percentage = *SIZE, 100
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = SAMPLES, False, False
+    scene.cycles.seed, scene.cycles.use_animated_seed = 0, False
+    look()
+    viewport = Viewport() if drawn else None
+    sets = flown(out)
+    with tempfile.TemporaryDirectory() as folder:
+        for frame, (gone, places) in zip(frames, sets, strict=True):
+            scene.frame_set(frame)
+            for pictures, shown, what in (
+                (out.full, out.drawn_full, (type(gone)(frozenset(), {}), places)),
+                (out.culled, out.drawn_culled, (gone, places)),
+            ):
+                with without(*what):
+                    pictures.append(by_cycles(Path(folder)))
+                    if viewport is not None and frame in drawn:
+                        shown.append(viewport.picture())
+    return out
+
+
+def flown(out: Flight) -> list[tuple[OutSet, dict[int, F32]]]:
+    """What was out of the viewport in each frame, and where the rows of its hosts were."""
+    import bpy
+
+    from ...lipac_addon.ui.jobs import live
+
+    scene, sets = bpy.context.scene, []
+    scene.frame_set(out.frames[0])
+    scene.lipac.cull_viewport = True
+    with Clock() as clock:
+        live.start()
+        settle(clock)
+        assert live.current is not None
+        switches = live.current.culling.switches
+        before = clock.changes
+        for frame in out.frames:
+            scene.frame_set(frame)
+            bpy.context.view_layer.update()
+            rounds(ROUNDS)
+            clock.go(1 / RATE)
+            out.counts.append(rows())
+            sets.append((switches.out, dict(switches._places)))
+        out.changes = clock.changes - before
+        live.stop()
+    return sets
+
+
+def lines_of(found: Flight, instances: int, drawn: Sequence[int]) -> list[str]:
+    """What came of a flight."""
+    from .machine import machine
+
+    frames, full, culled = found.frames, found.full, found.culled
+    errors = np.array([picture_change(a, b) for a, b in zip(full, culled, strict=True)])
+    tiles = [[tile_means(p).reshape(1, -1, 1).repeat(3, axis=2) for p in pictures] for pictures in (full, culled)]
+    light = np.mean([tile.mean() for tile in tiles[0]])
+    error = np.mean([np.abs(b - a).mean() for a, b in zip(*tiles, strict=True)]) / light
+    own = np.mean([np.abs(b - a).mean() for a, b in itertools.pairwise(full)]) / np.mean(full)
+    mean, worst = errors[:, 0], errors[:, 1]
+    table = [
+        ("rows of the scatter in the viewport, mean over frames", f"{np.mean(found.counts):.0f} of {instances:,}"),
+        ("changes of the set", f"{found.changes} in {len(frames)} frames"),
+        ("change of the picture, mean over tiles: mean over frames, median, most", three(mean)),
+        ("worst tile: mean over frames, median, most", three(worst)),
+        ("error: the same as a share of the mean of all pictures", pc(float(error))),
+        ("flicker, tiles", pc(flicker(*tiles))),
+        ("flicker, pixels", pc(flicker(full, culled))),
+        ("the picture's own change from frame to frame, pixels", pc(float(own))),
+    ]
+    for k, frame in enumerate(drawn):
+        change = picture_change(found.drawn_full[k], found.drawn_culled[k])
+        table.append(
+            (f"frame {frame} as drawn by EEVEE: change, mean over tiles; worst tile", "; ".join(map(pc, change)))
+        )
+    greatest = ", ".join(f"{frames[k]} ({pc(mean[k])})" for k in np.argsort(mean)[::-1][:5])
+    return [
+        "# Live culling in the viewport, measured",
+        "",
+        f"`python -m lipac.scripts.studies.bench_viewport` on {machine()}: frames {frames[0]} to {frames[-1]} of "
+        f"`flythrough`, {instances:,} instances, {ROUNDS} round of live mode a frame, {RATE:.0f} frames a second by its "
+        f"clock; Cycles, {SIZE[0]} x {SIZE[1]}, {SAMPLES} samples, with the same random numbers.",
+        "",
+        "| | |",
+        "|---|---:|",
+        *(f"| {name} | {value} |" for name, value in table),
+        "",
+        f"Frames of the greatest change: {greatest}.",
+        "Error and flicker as in [animation.md](animation.md#flythrough-in-real-time).",
+    ]
+
+
+def three(values: NDArray[np.float64]) -> str:
+    """Mean, median and most."""
+    return "; ".join(pc(float(v)) for v in (values.mean(), np.median(values), values.max()))
+
+
+def look() -> None:
+    """Have the viewport show Rendered shading, through the camera."""
+    import bpy
+
+    area = next(a for a in bpy.context.window_manager.windows[0].screen.areas if a.type == "VIEW_3D")
+    area.spaces.active.shading.type, area.spaces.active.region_3d.view_perspective = "RENDERED", "CAMERA"
+
+
+def pc(share: float) -> str:
+    """A share in percent."""
+    return f"{100 * share:.3g} %"
+
+
+class Clock:
+    """The clock that live culling goes by, and how often it changed something."""
+
+    def __enter__(self) -> Clock:
+        from ...lipac_addon.ui.jobs import viewport_culling, viewport_switches
+
+        self.now, self.changes = 0.0, 0
+        self._modules = viewport_culling, viewport_switches
+        self._change = viewport_switches.Switches.change
+        for module in self._modules:
+            module.time = SimpleNamespace(monotonic=lambda: self.now)  # type: ignore[attr-defined]
+        viewport_switches.Switches.change = self._counted()  # type: ignore[method-assign]
+        return self
+
+    def _counted(self) -> Callable[..., None]:
+        def change(*args: Any) -> None:
+            self.changes += 1
+            self._change(*args)
+
+        return change
+
+    def go(self, seconds: float) -> None:
+        """Time passes."""
+        self.now += seconds
+
+    def __exit__(self, *_: object) -> None:
+        for module in self._modules:
+            module.time = time  # type: ignore[attr-defined]
+        self._modules[1].Switches.change = self._change  # type: ignore[method-assign]
+
+
+def settle(clock: Clock) -> None:
+    """Let live mode come to rest, and the viewport be culled."""
+    from ...lipac_addon.ui.jobs import live
+
+    for _ in range(int(STARTED * RATE)):
+        rounds(ROUNDS)
+        clock.go(1 / RATE)
+        if live.current is not None and live.current.resting and live.current.culling.switches.out:
+            return
+
+
+def rounds(count: int) -> None:
+    """Tick until so many rounds are done, or there is nothing to do; and once more, for what follows from them."""
+    from ...lipac_addon.ui.jobs import live
+
+    live.tick()
+    current = live.current
+    assert current is not None
+    goal = current.rounds + count
+    while current.rounds < goal and not current.resting:
+        live.tick()
+        time.sleep(0.001)
+        if current.error:
+            raise SystemExit(f"live mode: {current.error}")
+    live.tick()
+
+
+def rows() -> int:
+    """Rows of the city's scatter that the viewport has."""
+    import bpy
+
+    layer = bpy.context.view_layer
+    geometry = bpy.data.objects["City"].evaluated_get(layer.depsgraph).evaluated_geometry()
+    return len(geometry.instances_pointcloud().points)
+
+
+def costs(sizes: Sequence[int]) -> list[str]:
+    """The lines about what a change of the set costs."""
+    import bpy
+
+    from ...lipac_addon.demo import build
+    from ...lipac_addon.ui.jobs import live
+
+    lines = [
+        "What a change of the set costs the main thread: Blender evaluates the scatter anew, as after any edit of it.",
+        "While nothing changes, [live.md](live.md) holds. After a change nothing changes for four times as long.",
+        "",
+        "| instances | scatter evaluated in full | one change of the set | deciding it |",
+        "|---:|---:|---:|---:|",
+    ]
+    for size in sizes:
+        build("mirror-city", size)
+        scene, layer = bpy.context.scene, bpy.context.view_layer
+        layer.update()
+        city = bpy.data.objects["City"]
+        plain = [timed(lambda: (city.update_tag(refresh={"DATA"}), layer.update())) for _ in range(3)]  # noqa: B023
+        look()
+        scene.lipac.cull_viewport = True
+        with Clock() as clock:
+            live.start()
+            settle(clock)
+            assert live.current is not None
+            culling = live.current.culling
+            result = culling._result
+            assert result is not None
+            out = culling.switches.out
+            fewer = type(out)(
+                out.objects, {uid: gone & (np.arange(len(gone)) % 2 == 0) for uid, gone in out.rows.items()}
+            )
+            changed = [
+                timed(lambda: culling.switches.change(layer, wanted, lambda uid: culling._places_of(result, uid)))  # noqa: B023
+                for wanted in (fewer, out, fewer, out)
+            ]
+            planned = [timed(lambda: culling._plan(scene, layer, result)) for _ in range(3)]  # noqa: B023
+            live.stop()
+        ms = [f"{1000 * statistics.median(took):.0f} ms" for took in (plain, changed, planned)]
+        lines.append(f"| {size:,} | {ms[0]} | {ms[1]} | {ms[2]} |")
+    return lines
+
+
+def timed(work: Callable[[], object]) -> float:
+    """Seconds that work takes."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+if __name__ == "__main__":
+    sys.exit(main())
