@@ -245,8 +245,8 @@ def lines_of(found: Flight, instances: int, drawn: Sequence[int]) -> list[str]:
         "# Live culling in the viewport, measured",
         "",
         f"`python -m lipac.scripts.studies.bench_viewport` on {machine()}: frames {frames[0]} to {frames[-1]} of "
-        f"`flythrough`, {instances:,} instances, {ROUNDS} round of live mode a frame, {RATE:.0f} frames a second by its "
-        f"clock; Cycles, {SIZE[0]} x {SIZE[1]}, {SAMPLES} samples, with the same random numbers.",
+        f"`flythrough`, {instances:,} instances, {ROUNDS} round of live mode a frame, {RATE:.0f} frames a second by "
+        f"its clock; Cycles, {SIZE[0]} x {SIZE[1]}, {SAMPLES} samples, with the same random numbers.",
         "",
         "| | |",
         "|---|---:|",

@@ -46,9 +46,10 @@ class NotedGraph:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._depsgraph, name)
 
-    def lists_geometry(self, ob: bpy.types.Object) -> bool:
-        """Whether the geometry of an object changed."""
-        return any(update.is_updated_geometry and update.id.original == ob for update in self.updates)
+    def reshaped(self) -> set[int]:
+        """Session uids of objects whose geometry changed."""
+        blocks = (update.id.original for update in self.updates if update.is_updated_geometry)
+        return {block.session_uid for block in blocks if isinstance(block, bpy.types.Object)}
 
     @property
     def objects(self) -> Iterator[Any]:

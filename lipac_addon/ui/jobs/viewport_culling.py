@@ -41,7 +41,9 @@ class ViewportCulling:
         self.message = ""
         self._result: results.FrameResult | None = None
         self._places: dict[str, F32] = {}
-        self._fresh = self._settled = self._waits = False
+        self._fresh = self._settled = self._waits = self._touched = False
+        self._whom: tuple[object, ...] = ()
+        self._made = self.switches.out  # by the last decision
         self._cursor: tuple[float, ...] = ()
         self._next = self._went = self._seen = 0.0
 
@@ -54,7 +56,7 @@ class ViewportCulling:
 
     def touch(self) -> None:
         """Something has changed, be it what is selected: what must not vanish may be something else."""
-        self._fresh = True
+        self._touched = True
 
     def step(self, scene: bpy.types.Scene, resting: bool) -> bool:
         """Change what the viewport goes without, where it is time to; True where it did. resting: as of live mode."""
@@ -62,6 +64,10 @@ class ViewportCulling:
         if not self._is_asked_for(scene, now):
             return self.off(layer)
         self._settled |= resting
+        if self._touched:
+            whom, self._touched = _whom(layer), False
+            self._fresh, self._whom = self._fresh or whom != self._whom, whom
+        self._fresh |= self.switches.out is not self._made
         result, cursor = self._result, tuple(scene.cursor.location)
         lazy = resting or now > self._went + PATIENCE  # things may go
         anew = self._fresh or (self._waits and lazy) or cursor != self._cursor
@@ -69,7 +75,7 @@ class ViewportCulling:
             return False
         self._fresh, self._waits, self._cursor, self._next = False, False, cursor, now + INTERVAL
         wanted = self._plan(scene, layer, result)
-        out = self.switches.out
+        out = self._made = self.switches.out
         if out.asks(wanted):
             wanted, self._waits = out.both(wanted), True
         elif result.stats["pending"] or not lazy:
@@ -81,6 +87,7 @@ class ViewportCulling:
             self._went = now
         start = time.monotonic()
         self.switches.change(layer, wanted, lambda uid: self._places_of(result, uid))
+        self._made = self.switches.out
         self._next = time.monotonic() + max(INTERVAL, DUTY * (time.monotonic() - start))
         self.message = f"shows {_shown(wanted, result):,} of {len(result.state):,} instances"
         return True
@@ -91,6 +98,7 @@ class ViewportCulling:
         self._settled, self._fresh = False, True
         if was:
             self.switches.all_back(layer)
+        self._made = self.switches.out
         return was
 
     def close(self) -> None:
@@ -155,6 +163,13 @@ def viewport_obstacle(scene: bpy.types.Scene, layer: str) -> str:
         for space, region in views
     )
     return "" if all(through) else "one in Rendered shading does not look through the camera"
+
+
+def _whom(layer: bpy.types.ViewLayer) -> tuple[object, ...]:
+    """What tells that other objects must not vanish."""
+    chosen = frozenset(ob.session_uid for ob in (*layer.objects.selected, *session.not_in_object_mode()))
+    active = layer.objects.active
+    return chosen, active and active.session_uid, props.role_changes
 
 
 def protected(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, result: results.FrameResult) -> Rows:

@@ -66,7 +66,8 @@ NOTHING = OutSet(frozenset(), {})
 class Switches:
     """The switches of a view layer's viewports.
 
-    out: what is out by them; own: Blender evaluates a change of ours, of which there is nothing to note.
+    out: what is out by them, another object whenever that has changed; own: Blender evaluates a change of ours, of
+    which there is nothing to note.
     """
 
     def __init__(self, uid: int, layer: str) -> None:
@@ -85,7 +86,7 @@ class Switches:
         if not self.out.objects:
             return []
         found = viewport.closed_eyes(layer)
-        self.out = OutSet(frozenset(ob.session_uid for ob in found), self.out.rows)
+        self._see(found)
         return found
 
     @contextmanager
@@ -96,7 +97,9 @@ class Switches:
         Scatters that have changed are masked no more.
         """
         hosts = _by_uid(self.out.rows)
-        changed = {uid: ob for uid, ob in hosts.items() if graph.lists_geometry(ob)}
+        reshaped = graph.reshaped()
+        self._quiet |= dict.fromkeys(reshaped, time.monotonic() + QUIET)
+        changed = {uid: ob for uid, ob in hosts.items() if uid in reshaped}
         rest = [] if goes_on else [ob for uid, ob in hosts.items() if uid not in changed]
         copies = [] if goes_on else [ob for ob in viewport.masked() if ob.session_uid not in hosts]
         if changed or rest or copies:
@@ -105,7 +108,6 @@ class Switches:
                 viewport.set_masks_shown(rest, False)
         for uid in changed:
             self._forget(uid)
-            self._quiet[uid] = time.monotonic() + QUIET
         try:
             yield
         finally:
@@ -172,6 +174,13 @@ class Switches:
                 viewport.mask_rows(hosts[uid], self.out.rows[uid], self._places[uid])
             there = {ob.session_uid: ob for ob in layer.objects} if self.out.objects else {}
             viewport.close_eyes(layer, [there[uid] for uid in self.out.objects & there.keys()])
+        self._see(viewport.closed_eyes(layer))  # those of a step of undo, too
+
+    def _see(self, closed: list[bpy.types.Object]) -> None:
+        """Take down which eyes are closed."""
+        objects = frozenset(ob.session_uid for ob in closed)
+        if objects != self.out.objects:
+            self.out = OutSet(objects, self.out.rows)
 
     def _forget(self, uid: int) -> None:
         """A host is masked no more."""

@@ -371,6 +371,26 @@ def test_nothing_goes_before_it_is_asked_for(scene, at_once):
         live.stop()
 
 
+def test_a_scatter_that_moves_in_each_frame_is_not_masked(culled, monkeypatch):
+    """Not even now and then: it is masked where it has been quiet for a while."""
+    monkeypatch.setattr(viewport_switches, "QUIET", 60.0)
+    host = bpy.data.objects["host"]
+    masked = []
+    for k in range(20):
+        host.data.vertices[1].co.y = 900.0 + 0.1 * k
+        host.data.update()
+        bpy.context.view_layer.update()
+        for _ in range(20):
+            live.tick()
+            time.sleep(0.001)
+        masked.append(len(host.modifiers) > 1)
+    assert masked[-1] is False
+    assert masked == sorted(masked, reverse=True)  # once it is there, it stays
+    live.current.culling.switches._quiet.clear()
+    settle()
+    assert rows() == ROWS - FAR_ROWS
+
+
 def test_changes_are_few(culled, monkeypatch):
     """Of many changes a second few reach Blender, and nothing goes while things are asked for."""
     changes = []
