@@ -221,7 +221,7 @@ class Live:
         same = last is not None and np.array_equal(last.state, now.state) and len(last.regions) == len(now.regions)
         self._rest = self._rest + 1 if same and not result.stats["pending"] else 0
         results.live[self.uid] = now
-        self.culling.take(now, frame.places)
+        self.culling.take(now, frame.places, frame.extraction.scene.camera.to_world[:, 3])
         self.rounds += 1
         self.message = f"frame {frame.number}, {'at rest' if self._rest >= REST else f'round {self.rounds}'}"
 

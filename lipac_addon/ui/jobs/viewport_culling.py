@@ -17,7 +17,7 @@ from heapq import nlargest
 import bpy
 import numpy as np
 
-from ....core.arrays import F32
+from ....core.arrays import F32, F64
 from ...keys import Kind
 from ...writeback.viewport_plan import viewport_plan
 from ..state import props, results, session
@@ -26,7 +26,8 @@ from .viewport_switches import OutSet, Rows, Switches
 INTERVAL = 0.1  # seconds from one change to the next, at least
 DUTY = 4  # times as long as a change took that nothing changes again
 PATIENCE = 2.0  # seconds from one time that something goes to the next, while the picture changes
-WORTH = 0.1  # share of what is shown that must go at once
+WORTH = 0.1  # share of what is shown that must go at once; as many that come back do not wait
+LARGE = 0.05  # of its distance that something must be wide, not to wait when it comes back
 GRACE = 1.0  # seconds without a viewport that asks for it, after which all comes back
 NEAR = 0.1  # of the camera's distance to the 3D cursor, around which nothing goes
 WALKS = 10_000_000  # objects that Blender may walk over to close or open all eyes: one takes it a walk over the layer
@@ -41,17 +42,19 @@ class ViewportCulling:
         self.message = ""
         self._result: results.FrameResult | None = None
         self._places: dict[str, F32] = {}
-        self._fresh = self._settled = self._waits = self._touched = False
+        self._fresh = self._settled = self._waits = self._touched = self._urgent = False
         self._whom: tuple[object, ...] = ()
         self._made = self.switches.out  # by the last decision
         self._cursor: tuple[float, ...] = ()
         self._next = self._went = self._seen = 0.0
 
-    def take(self, result: results.FrameResult, places: dict[str, F32]) -> None:
-        """New states. places: of the rows of scatters, by the full name of the host."""
+    def take(self, result: results.FrameResult, places: dict[str, F32], eye: F64) -> None:
+        """New states. places: of the rows of scatters, by the full name of the host. eye: (3,) where the camera is, as
+        the result's bounds count."""
         last = self._result
         same = last is not None and last.keys.names == result.keys.names and np.array_equal(last.state, result.state)
         self._fresh |= not same
+        self._urgent |= last is not None and not same and _matters(last, result, eye)
         self._result, self._places = result, places
 
     def touch(self) -> None:
@@ -71,14 +74,16 @@ class ViewportCulling:
         result, cursor = self._result, tuple(scene.cursor.location)
         lazy = resting or now > self._went + PATIENCE  # things may go
         anew = self._fresh or (self._waits and lazy) or cursor != self._cursor
-        if result is None or not self._settled or now < self._next or not anew:
+        due = now >= self._next
+        if result is None or not self._settled or not anew or not (due or self._urgent):
             return False
-        self._fresh, self._waits, self._cursor, self._next = False, False, cursor, now + INTERVAL
+        self._fresh, self._waits, self._urgent, self._cursor = False, False, False, cursor
+        self._next = max(self._next, now + INTERVAL)
         wanted = self._plan(scene, layer, result)
         out = self._made = self.switches.out
         if out.asks(wanted):
             wanted, self._waits = out.both(wanted), True
-        elif result.stats["pending"] or not lazy:
+        elif result.stats["pending"] or not (lazy and due):
             self._waits = True
             return False
         elif wanted.instances(result) - out.instances(result) < max(1.0, WORTH * _shown(out, result)):
@@ -138,6 +143,18 @@ class ViewportCulling:
             self.message = f"shows everything: {why}"
             return False
         return True
+
+
+def _matters(last: results.FrameResult, result: results.FrameResult, eye: F64) -> bool:
+    """Whether what is kept now, and was not before, is much of what is kept, or looks large from (3,) the eye."""
+    kept = result.state != results.CULLED
+    if len(last.state) != len(kept):
+        return False
+    new = np.flatnonzero(kept & (last.state == results.CULLED))
+    low, high = result.bounds[new, 0], result.bounds[new, 1]
+    gap, size = np.maximum(np.maximum(low - eye, eye - high), 0), high - low
+    large = np.linalg.norm(size, axis=1) >= LARGE * np.linalg.norm(gap, axis=1)
+    return bool(large.any() or 0 < len(new) >= WORTH * np.count_nonzero(kept))
 
 
 def _shown(out: OutSet, result: results.FrameResult) -> int:
