@@ -89,6 +89,8 @@ class Live:
             address = update.id.as_pointer()
             self._noted[address] = self._noted.get(address, False) or update.is_updated_geometry
             self._dirty = True
+        if self.culling.switches.out and not is_busy():
+            self.culling.foresee(depsgraph)
 
     def forget(self) -> None:
         """All references into Blender are about to die (undo, redo): everything is read again, and compared."""

@@ -17,18 +17,19 @@ from heapq import nlargest
 import bpy
 import numpy as np
 
-from ....core.arrays import F32, F64
+from ....core.arrays import F32, F64, I64
 from ...keys import Kind
 from ...writeback.viewport_plan import viewport_plan
 from ..state import props, results, session
+from .foresight import Foresight, half_angle, is_large
 from .viewport_switches import OutSet, Rows, Switches
 
 INTERVAL = 0.1  # seconds from one change to the next, at least
 DUTY = 4  # times as long as a change took that nothing changes again
 PATIENCE = 2.0  # seconds from one time that something goes to the next, while the picture changes
 WORTH = 0.1  # share of what is shown that must go at once; as many that come back do not wait
-LARGE = 0.05  # of its distance that something must be wide, not to wait when it comes back
 GRACE = 1.0  # seconds without a viewport that asks for it, after which all comes back
+HOLD = 0.5  # seconds that what came into view at once stays, for paths to look there
 NEAR = 0.1  # of the camera's distance to the 3D cursor, around which nothing goes
 WALKS = 10_000_000  # objects that Blender may walk over to close or open all eyes: one takes it a walk over the layer
 
@@ -47,6 +48,9 @@ class ViewportCulling:
         self._made = self.switches.out  # by the last decision
         self._cursor: tuple[float, ...] = ()
         self._next = self._went = self._seen = 0.0
+        self._sight: Foresight | None = None
+        self._foreseen: list[tuple[float, I64]] = []  # until when they stay, and which
+        self._pose: tuple[float, ...] = ()
 
     def take(self, result: results.FrameResult, places: dict[str, F32], eye: F64) -> None:
         """New states. places: of the rows of scatters, by the full name of the host. eye: (3,) where the camera is, as
@@ -61,11 +65,38 @@ class ViewportCulling:
         """Something has changed, be it what is selected: what must not vanish may be something else."""
         self._touched = True
 
+    def foresee(self, graph: bpy.types.Depsgraph) -> None:
+        """Show at once what looks large, where the camera has moved; called by a handler, with the graph as it is."""
+        out, result = self.switches.out, self._result
+        if result is None:
+            return
+        numbers = self._appearing(graph.scene_eval.camera, result)
+        numbers = numbers[out.mask(result, numbers)]
+        if len(numbers):
+            self.switches.show(graph.view_layer, out.showing(result, numbers))
+            self._foreseen = [*self._foreseen, (time.monotonic() + HOLD, numbers)]
+
+    def _appearing(self, camera: bpy.types.Object | None, result: results.FrameResult) -> I64:
+        """Numbers of the instances that look large and did not when this was asked last."""
+        nothing, angle = np.zeros(0, np.int64), None if camera is None else half_angle(camera)
+        if camera is None or angle is None:
+            return nothing
+        to_world = np.array(camera.matrix_world, np.float64)
+        pose = (angle, *to_world.ravel().tolist())
+        if self._sight is None or self._sight.bounds is not result.bounds:
+            self._sight = Foresight(result.bounds, self._sight)
+        elif pose == self._pose:
+            return nothing
+        self._pose = pose
+        to_world[:3, 3] -= result.origin
+        return self._sight.appearing(to_world, angle)
+
     def step(self, scene: bpy.types.Scene, resting: bool) -> bool:
         """Change what the viewport goes without, where it is time to; True where it did. resting: as of live mode."""
         layer, now = scene.view_layers[self._layer], time.monotonic()
         if not self._is_asked_for(scene, now):
             return self.off(layer)
+        self.switches.take_prints(layer)
         self._settled |= resting
         if self._touched:
             whom, self._touched = _whom(layer), False
@@ -93,6 +124,7 @@ class ViewportCulling:
         start = time.monotonic()
         self.switches.change(layer, wanted, lambda uid: self._places_of(result, uid))
         self._made = self.switches.out
+        self._appearing(scene.camera, result)  # what is seen now is known
         self._next = time.monotonic() + max(INTERVAL, DUTY * (time.monotonic() - start))
         self.message = f"shows {_shown(wanted, result):,} of {len(result.state):,} instances"
         return True
@@ -113,6 +145,9 @@ class ViewportCulling:
     def _plan(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, result: results.FrameResult) -> OutSet:
         """What the viewport can go without."""
         culled = result.culled & ~protected(scene, layer, result)
+        self._foreseen = [(until, numbers) for until, numbers in self._foreseen if until > time.monotonic()]
+        for _, numbers in self._foreseen:
+            culled[numbers[numbers < len(culled)]] = False
         objects, masks, _ = viewport_plan(culled, result.current_keys(), scene)
         closed, there = set(self.switches.closed(layer)), set(layer.objects)
         eyes = [ob for ob in objects if ob in closed or (ob in there and not ob.hide_get(view_layer=layer))]
@@ -152,8 +187,8 @@ def _matters(last: results.FrameResult, result: results.FrameResult, eye: F64) -
         return False
     new = np.flatnonzero(kept & (last.state == results.CULLED))
     low, high = result.bounds[new, 0], result.bounds[new, 1]
-    gap, size = np.maximum(np.maximum(low - eye, eye - high), 0), high - low
-    large = np.linalg.norm(size, axis=1) >= LARGE * np.linalg.norm(gap, axis=1)
+    gap = np.linalg.norm(np.maximum(np.maximum(low - eye, eye - high), 0), axis=1)
+    large = is_large(np.linalg.norm(high - low, axis=1), gap)
     return bool(large.any() or 0 < len(new) >= WORTH * np.count_nonzero(kept))
 
 

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ....core.arrays import F32
+from ....core.arrays import F32, I64
 from ...keys import Kind
 from ...writeback import viewport
 from ..state import results, scatters, session
@@ -47,9 +47,9 @@ class OutSet:
         """The same with all rows of a host there."""
         return OutSet(self.objects, {uid: rows for uid, rows in self.rows.items() if uid != host})
 
-    def instances(self, result: results.FrameResult) -> int:
-        """How many instances of a result that are."""
-        records = result.keys.records
+    def mask(self, result: results.FrameResult, numbers: I64 | slice = slice(None)) -> Rows:
+        """(N,) bool: the instances of a result that are out, or for (N,) numbers which of these."""
+        records = result.keys.records[numbers]
         kind, host, ob, row = records["kind"], records["host"], records["object"], records["path"][:, 0]
         eyes = np.append(np.isin(result.uids, list(self.objects)), False)  # index -1: nobody
         out = eyes[np.where(kind == Kind.OBJECT, ob, host)]
@@ -57,7 +57,23 @@ class OutSet:
         for uid, gone in self.rows.items():
             mine = np.flatnonzero((host == number.get(uid, -2)) & (kind == Kind.GEOMETRY_NODES))
             out[mine] |= np.append(gone, False)[np.minimum(row[mine], len(gone))]
-        return int(np.count_nonzero(out))
+        return out
+
+    def instances(self, result: results.FrameResult) -> int:
+        """How many instances of a result that are."""
+        return int(np.count_nonzero(self.mask(result)))
+
+    def showing(self, result: results.FrameResult, numbers: I64) -> OutSet:
+        """The same with some instances of a result there."""
+        records = result.keys.records[numbers]
+        own = np.where(records["kind"] == Kind.OBJECT, records["object"], records["host"])
+        uid, row = result.uids[own], records["path"][:, 0]
+        rows = {}
+        for host, gone in self.rows.items():
+            mine = row[(uid == host) & (records["kind"] == Kind.GEOMETRY_NODES)]
+            rows[host] = gone.copy()
+            rows[host][mine[mine < len(gone)]] = False
+        return OutSet(self.objects - set(uid.tolist()), rows)
 
 
 NOTHING = OutSet(frozenset(), {})
@@ -139,6 +155,21 @@ class Switches:
             viewport.close_eyes(layer, [there[uid] for uid in closing & there.keys()])
         for uid in rows.keys() & hosts.keys():
             scatters.stand_ins[uid] = scatters.print_of(hosts[uid], layer.depsgraph), full[uid]
+
+    def show(self, layer: bpy.types.ViewLayer, wanted: OutSet) -> None:
+        """Have less out, from within a handler: Blender evaluates it after that, before it draws."""
+        hosts, before = _by_uid(wanted.rows), self.out
+        for uid in wanted.rows.keys() & hosts.keys():
+            if not np.array_equal(before.rows[uid], wanted.rows[uid]):
+                viewport.mask_rows(hosts[uid], wanted.rows[uid], self._places[uid])
+                scatters.stand_ins[uid] = b"", scatters.stand_ins[uid][1]
+        viewport.open_eyes(layer, _by_uid(before.objects - wanted.objects).values())
+        self.out = wanted
+
+    def take_prints(self, layer: bpy.types.ViewLayer) -> None:
+        """Take the prints of what `show` has changed, now that it is evaluated."""
+        for uid, ob in _by_uid([uid for uid, (now, _) in scatters.stand_ins.items() if not now]).items():
+            scatters.stand_ins[uid] = scatters.print_of(ob, layer.depsgraph), scatters.stand_ins[uid][1]
 
     def all_back(self, layer: bpy.types.ViewLayer | None) -> None:
         """All comes back, in the whole file. layer: whose graph is evaluated, None where nobody reads it any more."""

@@ -8,7 +8,7 @@ import pytest
 
 import lipac
 from lipac.lipac_addon.ui import handlers
-from lipac.lipac_addon.ui.jobs import live, viewport_culling, viewport_switches
+from lipac.lipac_addon.ui.jobs import foresight, live, viewport_culling, viewport_switches
 from lipac.lipac_addon.ui.state import applying, props, results
 from lipac.lipac_addon.writeback import viewport
 from lipac.tests.lipac_addon.writeback.conftest import link, points, scatter, triangle
@@ -391,6 +391,21 @@ def test_what_is_large_does_not_wait(culled, monkeypatch):
     assert "box7" in shown()
 
 
+def test_what_looks_large_in_a_new_view_is_there_before_any_tick(culled, monkeypatch):
+    """The camera turns to what was hidden behind it: it is in the graph when Blender has evaluated that."""
+    monkeypatch.setattr(viewport_culling, "WORTH", 0.0)
+    far = link(triangle("far"), at=(0, -900, 0))
+    far.scale = (100, 100, 100)
+    edit(lambda: None)
+    edit(lambda: setattr(bpy.context.view_layer.objects, "active", None))
+    assert not {"far", *FAR} & shown()
+    before = live.current.rounds
+    culled.camera.rotation_euler.x += 3.0
+    bpy.context.view_layer.update()
+    assert live.current.rounds == before
+    assert "far" in shown()
+
+
 def test_a_scatter_that_moves_in_each_frame_is_not_masked(culled, monkeypatch):
     """Not even now and then: it is masked where it has been quiet for a while."""
     monkeypatch.setattr(viewport_switches, "QUIET", 60.0)
@@ -415,7 +430,7 @@ def test_changes_are_few(culled, monkeypatch):
     """Of many changes a second few reach Blender, and nothing goes while things are asked for."""
     changes = []
     monkeypatch.setattr(viewport_culling, "INTERVAL", 0.3)
-    monkeypatch.setattr(viewport_culling, "LARGE", 1e9)
+    monkeypatch.setattr(foresight, "LARGE", 1e9)
     monkeypatch.setattr(viewport_culling, "WORTH", 0.9)
     original = viewport_switches.Switches.change
     monkeypatch.setattr(
