@@ -34,6 +34,14 @@ def test_each_page_is_linked() -> None:
     assert not alone
 
 
+def test_each_picture_is_shown() -> None:
+    """By a page."""
+    pages = "\n".join(page.read_text() for page in PAGES)
+    for folder in ("pictures", "animation"):
+        for picture in (ROOT / "docs" / folder).iterdir():
+            assert f"{folder}/{picture.name}" in pages, picture.name
+
+
 def test_spelling() -> None:
     """Of pages, docstrings, comments and names. Settings are in pyproject.toml."""
     done = subprocess.run(
