@@ -159,9 +159,8 @@ class RenderGraph:
 
     While it is held the scene's render engine and some of its render settings are ours (Freestyle is off: it ends the
     process where an engine draws nothing); the user's Render Result is left alone; `release` puts them back, and
-    Blender frees the graph. A render of
-    another engine makes Blender free the graph, too: the next frame then gets a new one. No other render can be started
-    inside a callback.
+    Blender frees the graph. A render of another engine makes Blender free the graph, too: the next frame then gets a
+    new one. No other render can be started inside a callback.
     """
 
     def __init__(self, scene: Any, view_layer: str | None = None) -> None:

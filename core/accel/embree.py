@@ -213,7 +213,7 @@ class Device:
     def own(self, scene: int, owner: object, unreported: int = 0) -> None:
         """Release a scene when owner is garbage. unreported: bytes that Embree then frees without telling its
         monitor."""
-        # the bound method keeps the device, and its counter, until then
+        # the bound method keeps the device and its counter alive until then
         weakref.finalize(owner, self._release, scene, unreported).atexit = False
 
     def commit(self, scene: int, doing: str) -> int:

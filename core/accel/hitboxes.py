@@ -75,19 +75,8 @@ def _cross(arguments):
     context = carray(pointer(arguments[3]), (_ARGUMENTS,), np.int64)
     i = 6 * prim
     entry = box_entry(
-        box[i],
-        box[i + 1],
-        box[i + 2],
-        box[i + 3],
-        box[i + 4],
-        box[i + 5],
-        ray[0],
-        ray[1],
-        ray[2],
-        ray[4],
-        ray[5],
-        ray[6],
-        float(ray[8]),
+        box[i], box[i + 1], box[i + 2], box[i + 3], box[i + 4], box[i + 5], ray[0], ray[1], ray[2], ray[4], ray[5],
+        ray[6], float(ray[8])
     )
     if entry < 0.0:
         return
@@ -161,8 +150,7 @@ class Hitboxes:
     """Boxes of culled instances or regions in an Embree scene of their own.
 
     bounds: (H, 2, 3) float32; counters: (H, RAY_TYPES) int64, crossings counted so far; handle: uint64, 0 where there
-    is no box;
-    bytes: Embree's memory plus the bounds.
+    is no box; bytes: Embree's memory plus the bounds.
     """
 
     def __init__(self, bounds: F32, device: embree.Device | None = None, crossing: Any = _cross.address) -> None:

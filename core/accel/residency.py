@@ -12,11 +12,11 @@ from .blas import BlasCache
 
 
 class Residency:
-    """The BLASes of instances, within a budget. seconds: of building per frame, limit: bytes of all BLASes; 0 for
-    none."""
+    """The BLASes of instances, within a budget. seconds: of building per frame; limit: bytes of all BLASes; 0: not
+    limited."""
 
     def __init__(self, blas: BlasCache, seconds: float, limit: int, hysteresis: float) -> None:
-        """hysteresis: how many times less valuable than what waits for a BLAS something must be to lose its own."""
+        """hysteresis: a BLAS is freed only for one that is worth more than so many times as much."""
         self.blas, self._seconds, self._limit, self._hysteresis = blas, seconds, limit, hysteresis
 
     @property

@@ -17,8 +17,7 @@ class Tlas:
 
     Instances are grouped by their visibility bits, which become Embree's geometry masks: a ray of type t, traced with
     mask 1 << t, meets what is visible to it. ids: (A,) int32 instance of every TLAS entry; first: (G + 1,) int64
-    offsets of the groups in ids.
-    bytes: Embree's memory plus the arrays it reads in place.
+    offsets of the groups in ids. bytes: Embree's memory plus the arrays it reads in place.
     """
 
     def __init__(self, instances: Instances, blas: BlasCache, active: np.ndarray) -> None:
@@ -34,11 +33,11 @@ class Tlas:
         groups, starts = np.unique(visibility[order], return_index=True)
         self.first: I64 = np.append(starts, len(chosen)).astype(np.int64)
         meshes, entry_mesh = np.unique(instances.mesh[self.ids], return_inverse=True)
-        # with the vertices that Embree reads in place, also when the cache lets go of them
+        # keeps the vertices that Embree reads in place, also when the cache lets go of them
         self._built = blas.built(meshes)
         self._scenes = np.ascontiguousarray(blas.scenes[meshes])
         self._index = np.ascontiguousarray(entry_mesh, np.uint32)
-        # columns, as Embree wants them
+        # column-major, as Embree reads them
         self._transform = np.ascontiguousarray(instances.transform[self.ids].transpose(0, 2, 1))
         self._only, self._entry_of = np.zeros(1, np.uint32), np.zeros(0, np.int32)
         scene, unreported = device.new_scene(embree.SCENE_ROBUST), 0

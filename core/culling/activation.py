@@ -1,5 +1,5 @@
-"""Which instances are active, and how what paths report changes that: requests of boxes, emitters, what comes into
-view, what nobody needs any more."""
+"""Which instances are active, and how feedback changes that: requests, emitters that contribute, what comes into view,
+and what paths no longer need."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ..scene.model import RayType, Scene
 from .measurement import Measurement
 
 COLD_HITS = 7  # detection limit: segments of one round that must cross a box before it is opened
-SETTLED = 0.02  # segments per path that still ask for a box when rounds end
-GROWTH = 1.05  # per round, of what an instance is worth that waits for its BLAS
+SETTLED = 0.02  # requests per path at which coarse rounds end
+GROWTH = 1.05  # per round at most, of the value of an instance that waits for its BLAS
 LARGE = 0.05  # of the picture's width: what comes into view this large is activated before it is asked for
 
 
@@ -24,9 +24,9 @@ class Activation:
     """The activation of a scene's instances, from round to round and from frame to frame.
 
     exists, pinned: (N,) bool. active: (N,) bool, instances that are, or are to be, in the TLAS. kept: (N,) bool, what
-    the last decision kept.
-    known: (N,) bool, what it measured, None where there was none. value: (N,) float32, share of the paths that met an
-    instance, or asked for it, when that was last known. regions: the tree whose cut stands in for all others.
+    the last decision kept. known: (N,) bool, instances that the last measurement had in its TLAS, None where there was
+    none. value: (N,) float32, share of the paths that met an instance, or requested it, when that was last known.
+    regions: the region tree, whose cut stands in for all others.
     """
 
     def __init__(self, scene: Scene, pinned: np.ndarray | None = None) -> None:
@@ -56,7 +56,8 @@ class Activation:
         self._pin(pinned)
 
     def divide(self, scene: Scene) -> None:
-        """Go on with a scene of more instances behind the ones that there were, of which some exist no more."""
+        """Go on with the scene after meshes were divided: parts are instances behind the others, and what was divided
+        exists no more."""
         count = len(self.active)
         self._carry(
             scene.instances.bounds,
@@ -104,7 +105,7 @@ class Activation:
         self.active |= instances
 
     def activate_alone(self, instances: np.ndarray) -> None:
-        """Have a set of instances, (N,) bool, active, and no other: nothing else asks for what stays of the last
+        """Have a set of instances, (N,) bool, active, and no other: what a rule keeps does not depend on the last
         frame."""
         self.active = instances.copy()
 
@@ -145,7 +146,7 @@ class Activation:
         return float(crossings[asked].sum()) / max(feedback.paths, 1)
 
     def activate_contributing_emitters(self, cut: Cut, feedback: Feedback, emissive: I64) -> None:
-        """Activate every emitter that lit a path, or whose box one crossed: few paths may carry much of a tile's
+        """Activate every emitter that lit a path, or whose own box a path crossed: few paths may carry much of a tile's
         light."""
         if len(emissive):
             crossed = np.flatnonzero((cut.level == 0) & feedback.boxes.any(axis=1))
@@ -167,7 +168,7 @@ class Activation:
         return bool(len(asked) or len(rows))
 
     def release(self, measured: Measurement) -> None:
-        """Let go of what paths do not need any more: instances that none met, regions whose parts none asked for."""
+        """Cull instances that no path met, and merge regions whose parts none requested."""
         ids, met = measured.tlas.ids, measured.met
         for opened in self._opened:  # unless a measurement has found out about them since
             self.active[np.setdiff1d(opened[~self.kept[opened]], ids)] = False
@@ -181,8 +182,8 @@ class Activation:
 
 
 def _detection_limit(crossings: I64, paths: int) -> int:
-    """How often a box must be crossed to be opened: where most of what paths cross are boxes that few of them cross,
-    once is enough, for chance is the rule."""
+    """How often a box must be crossed to be opened: COLD_HITS times; once, where most crossings are of boxes that fewer
+    paths cross than that."""
     often = int(crossings[crossings >= COLD_HITS].sum())
     seldom = int(crossings.sum()) - often
     return 1 if seldom > often and seldom > SETTLED * paths else COLD_HITS

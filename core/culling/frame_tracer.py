@@ -24,7 +24,7 @@ from ..tracing.tracer import Prepared, advanced, prepare, trace
 from .options import CullOptions
 from .result import Timer
 
-ROUNDS_FROM = 1 << 20  # number of the first sample of rounds: what they choose is judged by others
+ROUNDS_FROM = 1 << 20  # number of the first sample of rounds: none of those that measure and certify what they choose
 BOXES_PER_SEGMENT = 4  # nearest boxes that a ray segment asks for
 
 
@@ -59,7 +59,7 @@ class FrameTracer:
         self.timer = Timer()
         self.paths = self.rays = 0
         self.size = self._options.picture_size(scene.film)
-        # a measurement has the first ones, in every frame the same: what did not change measures the same
+        # measurements take samples from 0 on, in every frame the same: what did not change measures the same
         self.next_sample = ROUNDS_FROM
 
     @property
@@ -141,8 +141,8 @@ class FrameTracer:
     def trace_paths(
         self, keep: np.ndarray, first_sample: int, only: NDArray[np.uint8], progress: Progress = silent
     ) -> tuple[F32, F32]:
-        """Again the paths that only, (H, W, S) uint8, marks of a trace that began at first_sample, with only keep (N,)
-        bool in the scene.
+        """Trace again, with only keep (N,) bool in the scene, the paths that only, (H, W, S) uint8, marks of a trace
+        that began at first_sample.
 
         Returns their part of the mean picture, (H, W, 4) float32, and the light of each, (H, W, S, 3) float32.
         """
@@ -157,8 +157,8 @@ class FrameTracer:
     def trace_without(
         self, full: Tlas, first_sample: int, keep: np.ndarray, tlas: Tlas, only: NDArray[np.uint8], log: PathLog
     ) -> None:
-        """Into log what those paths that only, (H, W, S), marks of a trace of full, begun at first_sample, meet with
-        only keep (N,) bool in the scene, which tlas holds, by the numbers of the entries of full.
+        """Trace again paths of a trace of full that began at first_sample, those that only, (H, W, S), marks, with only
+        keep (N,) bool in the scene, which tlas holds. What they meet goes into log, as entries of full.
 
         The other paths of the log stay as they are.
         """
@@ -216,7 +216,7 @@ class FrameTracer:
 
 
 def places(ids: I32, some: I32) -> np.ndarray:
-    """The place in ids (A,) of each of some (B,) of them, and behind these A, the number that stands for what is not
+    """(B + 1,) the place in ids (A,) of each of some (B,) of them, then A, the number that stands for what is not
     built."""
     order = np.argsort(ids)
     return np.append(order[np.searchsorted(ids[order], some)], len(ids))

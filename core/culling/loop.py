@@ -1,4 +1,4 @@
-"""The method's loop: build TLAS, trace rays, process hit feedback, until the states settle.
+"""The method's loop: build the TLAS, trace paths, process hit feedback, until the states settle.
 
 A cold start: everything is culled and grouped, nothing is built but boxes. Light paths ask for geometry through the
 nearest boxes that they cross: a region asked for often is split, an instance asked for often is activated and built.
@@ -34,7 +34,7 @@ from .options import CullOptions
 from .result import Built, CullingResult, states, structure_figures
 from .twins import Twins
 
-UNKNOWN = 0.2  # segments per path that ask for a box where coarse rounds are worth while
+UNKNOWN = 0.2  # requests per path from which on coarse rounds are worth while
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
 
 
@@ -134,12 +134,12 @@ class Loop:
             self.activation.activate_contributing_emitters(cut, feedback, emissive)
             coarse = asked >= UNKNOWN
             if asked <= self.options.settled and self.rounds < self.options.max_iterations:
-                tlas = None  # with the few that were asked for at last
+                tlas = None  # measure with the few that the last round requested, too
                 break
         return self.measure(tlas, progress=part(progress, 0.5, 1.0))
 
     def _divide(self) -> None:
-        """Have the parts of large meshes in the place of what paths have asked for."""
+        """Replace large meshes that paths have asked for by their parts."""
         with self.timer.step("build_s"):
             if self.division and self.division.divide(self.activation.active & ~self.activation.pinned):
                 self.scene = self.division.scene
@@ -148,8 +148,8 @@ class Loop:
                 self.tracer.divide(self.scene)
 
     def _schedule_builds(self, progress: Progress = silent) -> None:
-        """Within a budget: have the BLASes of active instances built, the most valuable first. A time budget is spent
-        once per frame."""
+        """Where builds are limited: have the BLASes of active instances built, the most valuable first. A time budget
+        is spent once per frame."""
         if not self.limited or (self.residency.deferred and self.rounds > 1):
             return
         with self.timer.step("build_s"):
@@ -158,8 +158,8 @@ class Loop:
             )
 
     def boxes(self, tlas: Tlas) -> tuple[Cut, Hitboxes]:
-        """The cut through the region tree that holds all that is not in a TLAS over the active instances, and its
-        hitboxes."""
+        """The cut through the region tree that stands in for all that is not in a TLAS over the active instances, and
+        its hitboxes."""
         with self.timer.step("build_s"):
             active = self.activation.active
             waiting = self.residency.waiting(self.scene.instances.mesh, active) if self.limited else None
@@ -214,8 +214,7 @@ class Loop:
     ) -> CullingResult:
         """States for keep (N,) bool, with the final structures built and counted; figures go into the stats.
 
-        What the next frame need not have by the last measurement is freed; all that is active stays where there was
-        none.
+        What the last measurement does not need is freed; where there was none, all that is active stays built.
         """
         keep = self._twins.joined(self.scene.instances.bounds, keep | self.activation.pinned)
         self.activation.kept = keep

@@ -1,4 +1,4 @@
-"""What traces of a frame found out: measurements, by which sets are chosen, and witnesses, by which they are judged."""
+"""Measurements: what traces of the active set found out, from which sets are chosen."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from ..feedback.path_log import PathLog
 
 @dataclass(frozen=True)
 class Traced:
-    """What paths met, the number of their first sample, and how many there are per pixel of each tile, (T,)."""
+    """A trace: what its paths met, the number of their first sample, and how many there are per pixel of each tile,
+    (T,)."""
 
     log: PathLog
     first_sample: int
@@ -23,8 +24,8 @@ class Traced:
 
 @dataclass(frozen=True)
 class Measurement:
-    """Feedback of a trace of candidates, and what its paths met: those that are everywhere, then more in some tiles.
-    emissive: (E,) emitters, built or not."""
+    """A trace of the active set alone. feedback, weights: of all its paths. traced: first those of the whole picture,
+    then more of some tiles. emissive: (E,) emitters, built or not."""
 
     tlas: Tlas
     feedback: Feedback
@@ -34,12 +35,12 @@ class Measurement:
 
     @property
     def log(self) -> PathLog:
-        """Of the paths that are everywhere."""
+        """Of the paths of the whole picture."""
         return self.traced[0].log
 
     @property
     def next_sample(self) -> int:
-        """The number behind its last sample."""
+        """The first sample number that it did not use."""
         return self.traced[-1].first_sample + self.traced[-1].log.shape[2]
 
     @property

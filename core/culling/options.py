@@ -13,8 +13,8 @@ from ..feedback.tiles import TILES
 from ..scene.model import Film, Scene
 from .policies import LIGHT_PATHS, POLICIES
 
-# Something that a coarse tile's paths do not meet may be worth some of them, each as bright as what stands behind it:
-# so many paths, over the tile's bound.
+# Paths per coarse tile, times the bound T of the worst tile: by the rule of three something that none of n paths meets
+# may be worth 3 / n of the tile's light, so n = 3 * 40 / T leaves at most a fortieth of T unseen (docs/method.md).
 TILE_PATHS = 120
 COUNTED_PATHS = 4  # per pixel, by counts
 MOST_PATHS = 64  # per pixel
@@ -36,20 +36,18 @@ class CullOptions:
     """How to cull. Defaults suit a first scene.
 
     policy: one of `policies.POLICIES`. setting: the number that it goes by, such as metres or degrees; None: its
-    default.
-    max_error: `light-paths`: how much the picture may change. min_share: `light-paths` by plain counts instead: an
+    default. max_error: for `light-paths`: the error budget. min_share: for `light-paths`, in place of a budget: an
     instance stays if at least this share of the paths meets it. paths: per pixel, for the measurement of both; 0: as
-    many as the bounds need.
-    width: of the analysis picture in pixels (its height follows the film).
-    hitbox_every: on one path in so many. settled: segments per path that may still ask for a box when the rounds of a
-    frame end, 0: none; max_iterations: rounds of a frame at most.
+    many as the bounds need. width: of the analysis picture in pixels (its height follows the film). hitbox_every: one
+    path in so many is tested against hitboxes. settled: requests per path at which the rounds of a frame end, 0: none
+    may be left; max_iterations: rounds of a frame at most.
 
     parts: large meshes are culled by parts, where an instance's flags let them.
 
-    Over the frames of a shot: hysteresis: how many times less than what is newly kept an instance must be worth to be
-    culled again, 1 for none; mitigation: large instances that come into view are active at once. blas_budget_ms:
-    milliseconds of BLAS building per frame, the rest is done in later frames; blas_budget_bytes: of all BLASes
-    together; 0: no limit, as a final render wants it.
+    Over the frames of a shot: hysteresis: keep threshold = new threshold / hysteresis, 1 for none; mitigation: large
+    instances that come into view are active at once (latency mitigation). blas_budget_ms: milliseconds of BLAS building
+    per frame, the rest is done in later frames; blas_budget_bytes: of all BLASes together; 0: no limit, as for a final
+    render.
     """
 
     policy: str = LIGHT_PATHS

@@ -35,8 +35,8 @@ class CullingResult:
 
     state: (N,) uint8 of `State`; score: (N,) float32 share of paths that met the instance; hits: (N, RAY_TYPES) int64
     paths that met it, by type. boxes: (H, 2, 3) float32 world boxes that stand in for what is culled. faces: by row of
-    an active instance whose mesh was divided, (F,)
-    bool, those of its faces that stay. stats: the frame's figures, named as in report.json.
+    an active instance whose mesh was divided, (F,) bool, those of its faces that stay. stats: the frame's figures,
+    named as in report.json.
     tiles: (TILES,) float32, by how much each tile of the picture changes at most, where that is certified.
     warnings: what could not be kept to. built: for a renderer of this frame; None where nothing was.
     """

@@ -1,4 +1,4 @@
-"""Paths that chose nothing: traced through the full scene, as far as they need it."""
+"""Witnesses: paths that took no part in choosing what is culled, through the full scene as far as they need it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..accel.tlas import Tlas
     from .loop import Loop
 
-OPENINGS = 16  # of boxes at most, each a level or two deeper
+OPENINGS = 16  # rounds of opening boxes at most, each a level or two deeper
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class Witness:
 def trace_witness(
     loop: Loop, first_sample: int, only: NDArray[np.uint8], tolerated: Budget, progress: Progress = silent
 ) -> Witness:
-    """Trace those of S paths per pixel that only, (H, W, S), marks through the full scene, by random numbers that
-    chose nothing.
+    """Trace through the full scene those of S paths per pixel that only, (H, W, S), marks. first_sample: the number of
+    the first; no path that chose a set may have one of these numbers.
 
-    Boxes that paths cross are opened, and these paths traced again, until what is carried through the others is
-    tolerated; none is where builds are limited.
+    Boxes that paths cross are opened, and these paths traced again, until the light that is carried through boxes that
+    are not opened is within tolerated; where builds are limited, none is opened.
     """
     log, prepared = PathLog.zeros(*only.shape), loop.tracer.prepared
     tile = tiles_of(*only.shape[:2]).ravel()

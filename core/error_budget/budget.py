@@ -1,9 +1,8 @@
-"""An error budget instead of a threshold: cull the set that saves most while the picture changes by no more than was
-allowed.
+"""An error budget instead of a threshold: cull the set that saves most while the picture's error stays within it.
 
 Feedback says what each instance is worth in each coarse tile of the picture (`feedback.Weights`). Selection culls what
-is cheap under both bounds; calibration traces what is left with the same random numbers, measures what really changed,
-and selects again until the bounds hold.
+costs least error per byte saved under both bounds; calibration traces what is left with the same random numbers,
+measures what really changed, and selects again until the bounds hold.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from numba import njit
 from ..arrays import F64, I32, I64
 from ..errors import InputError
 
-SPREAD = 5.0  # of the worst tile's bound to the mean's, by default
+SPREAD = 5.0  # default ratio of the worst tile's bound to the mean's
 ENTRY_BYTES = 150.0  # of a TLAS entry: 64 bytes of Embree's leaf, 52 of ours, and its share of the inner nodes
 
 
@@ -53,8 +52,7 @@ class Selection:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _greedy(order, weights, mean_bound, tile_bounds):
     """Cull in order while the mean of the tiles' sums and every tile's sum stay within bounds. order: (A,) int64;
-    weights: (A, T) and
-    tile_bounds: (T,) float64."""
+    weights: (A, T) and tile_bounds: (T,) float64."""
     count, tiles = weights.shape
     cull = np.zeros(count, np.bool_)
     sums = np.zeros(tiles)
@@ -80,8 +78,8 @@ def _greedy(order, weights, mean_bound, tile_bounds):
 class Savings:
     """What culling of A TLAS entries saves.
 
-    mesh: (A,) int32; bytes_of: (M,) int64, of each BLAS; share: (A,) float64 bytes that an entry saves, its share of
-    the BLAS that it has in common with others of the A included, less by a factor of reluctance: (A,) float64.
+    mesh: (A,) int32; bytes_of: (M,) int64, of each BLAS; share: (A,) float64 bytes that an entry saves: its own and, in
+    equal parts among those of the A that share a BLAS, of that BLAS, divided by reluctance: (A,) float64.
     """
 
     mesh: I32
@@ -91,7 +89,7 @@ class Savings:
 
     @staticmethod
     def among(mesh: I32, bytes_of: I64, reluctance: F64 | float = 1.0) -> Savings:
-        """For entries with these meshes. reluctance: (A,), divides the share of those that are rather to stay."""
+        """For entries with these meshes. reluctance: (A,), divides the share: above 1 for those that rather stay."""
         users = np.bincount(mesh, minlength=len(bytes_of))
         by = np.broadcast_to(np.asarray(reluctance, np.float64), len(mesh))
         return Savings(mesh, bytes_of, (ENTRY_BYTES + bytes_of[mesh] / users[mesh]) / by, by)
@@ -109,7 +107,7 @@ def select(weights: F64, saved: F64, mean_bound: float, tile_bounds: F64 | float
     Greedy for a knapsack of two kinds of bound (Dantzig 1957 for one): within one instance's worth of the best.
     """
     order = np.argsort(weights.sum(axis=1) / saved, kind="stable")
-    # a writable one: the kernel has one variant
+    # a writable copy, so that the kernel is compiled for one type alone
     bounds = np.array(np.broadcast_to(tile_bounds, weights.shape[1]), np.float64)
     cull, sums = _greedy(order, weights, max(mean_bound, 0.0), bounds)
     return Selection(cull, float(sums.mean()), float(sums.max(initial=0.0)))

@@ -31,7 +31,7 @@ from .budget import Budget
 
 CONFIDENCE = 0.95  # that both bounds hold, of what is certified
 BLOCK = 3  # pixels
-NEAR = 4.0  # deviations from its bound within which a tile may come to doubt a set
+NEAR = 4.0  # deviations: a tile that is nearer than this to its bound may break it
 _TINY = 1e-30
 
 
@@ -41,7 +41,7 @@ class ErrorEstimate:
 
     error: (T,) float64, estimate of each tile's, for the worst of them. average: (T,) the same for the mean of them:
     what noise may have shrunk in one tile must not add up over all. deviation: (T,) float64 standard deviation of the
-    tiles' light. owed: (T,) float64 change that is charged on top without having been measured.
+    tiles' light. owed: (T,) float64, charged on top without having been measured.
     """
 
     error: F64
@@ -51,7 +51,7 @@ class ErrorEstimate:
 
     @property
     def tiles(self) -> F64:
-        """(T,) with what is owed."""
+        """(T,) error of each tile, with what is owed."""
         return np.asarray(self.error + self.owed)
 
     @property
@@ -75,16 +75,16 @@ class ErrorEstimate:
         return float(self.deviation[self.tiles.argmax()])
 
     def upper_mean(self, confidence: float = CONFIDENCE) -> float:
-        """What the mean does not exceed, with this confidence."""
+        """Upper confidence bound of the mean."""
         return self.mean + _quantile(confidence) * self.mean_deviation
 
     def upper_worst(self, confidence: float = CONFIDENCE) -> float:
-        """What no tile exceeds, with this confidence for all of them together: tiles far below it cost nothing (normal
+        """Upper confidence bound of the worst tile, for all tiles together: those far below it cost nothing (normal
         errors, independent by tile)."""
         return float(_upper_worst(self.tiles, self.deviation, confidence))
 
     def upper_tiles(self, confidence: float = CONFIDENCE) -> F64:
-        """(T,) float64, what each tile by itself does not exceed, with this confidence."""
+        """(T,) float64, upper confidence bound of each tile by itself."""
         return np.asarray(np.maximum(self.tiles + _quantile(confidence) * self.deviation, 0.0))
 
     def holds(self, budget: Budget) -> bool:
@@ -96,16 +96,15 @@ class ErrorEstimate:
         return self.excess(budget, confidence) <= 1
 
     def excess(self, budget: Budget, confidence: float = CONFIDENCE) -> float:
-        """The upper ends over what the budget allows, of the bound that is nearer to being broken: above 1 it may be
-        broken."""
+        """Budget utilisation: the upper confidence bounds over those of the budget, the larger of both; feasible where
+        it is at most 1."""
         each = 0.5 * (1 + confidence)
         changes = ((self.upper_mean(each), budget.mean), (self.upper_worst(each), budget.worst))
         return max(change / max(bound, _TINY) if change else 0.0 for change, bound in changes)
 
     def doubtful(self, budget: Budget, confidence: float = CONFIDENCE) -> NDArray[np.bool_]:
-        """(T,) tiles whose deviation stands between the estimate and a bound: those that may well exceed the worst
-        tile's, or, for the mean, the least certain.
-        """
+        """(T,) tiles in which more paths may decide whether a bound holds: those whose estimate is within NEAR
+        deviations of the worst tile's bound, and where it is the mean's that may not hold, the noisiest."""
         tiles = (self.deviation > 0) & (self.tiles + NEAR * self.deviation > budget.worst)
         if self.upper_mean(0.5 * (1 + confidence)) > budget.mean:
             tiles |= self.deviation**2 > (self.deviation**2).mean()
@@ -127,8 +126,8 @@ class ErrorEstimate:
         return out
 
     def may_hold(self, budget: Budget, confidence: float, factor: F64) -> bool:
-        """Whether so many times the paths of each tile, (T,), in doubtful ones might show that both bounds hold: were
-        tiles better than estimated by one deviation."""
+        """Whether factor, (T,), times the paths in the doubtful tiles might show that both bounds hold, were each of
+        these better by one deviation than is estimated."""
         tiles = self.doubtful(budget, confidence)
         less = np.where(tiles, self.deviation, 0.0)
         fewer = np.where(tiles, self.deviation / np.sqrt(factor), self.deviation)
@@ -200,7 +199,7 @@ class Reference:
         color[marked] = log.color[marked]
         self.color: F32 = color.reshape(-1, 3)
         self.tile: I32 = tiles_of(self.height, self.width).ravel().astype(np.int32)  # of each pixel
-        # so that there are two halves with one sample too
+        # halves in a checkerboard of pixels: there are two with one sample per pixel, too
         self._parity = (np.arange(self.height)[:, None] + np.arange(self.width)[None, :]).ravel() % 2
         by_pixel = (
             np.full(len(self.tile), self.samples)
@@ -309,7 +308,7 @@ class Light:
         strata = np.stack(
             [np.bincount(tile, x, TILES) for x in (luminance.sum(axis=0) ** 2, (color.sum(axis=0) ** 2).mean(axis=1))]
         )
-        # per pixel, in each tile
+        # samples per pixel of each tile
         samples = np.maximum(self.paths / np.maximum(np.bincount(tile, minlength=TILES), 1), 1.0)
         variance = difference.squares / np.stack([self.luminance, self.brightness]) ** 2
         several = samples > 1

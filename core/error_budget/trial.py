@@ -1,4 +1,4 @@
-"""Paths on trial: what they differ by where more and more is culled.
+"""Trials: what the paths of a trace differ by where more and more is culled.
 
 Of all paths only those can differ that met something culled (`path_log`), so that a set costs a small part of a trace,
 and a set that adds to another a part of that.
@@ -35,7 +35,7 @@ class Trial:
         self._changed, self._after, self._due = np.zeros(log.shape, np.uint8), log, False
 
     def propose(self, cull: np.ndarray) -> int:
-        """Go for a set, (A,) bool, that culls what was accepted and more. Returns how many paths are to be traced for
+        """Propose a set, (A,) bool, that culls what was accepted and more. Returns how many paths must be traced for
         it."""
         if len(self._cull) and (cull == self._cull).all():
             return 0
@@ -54,7 +54,7 @@ class Trial:
         return self.proposed
 
     def accept(self) -> None:
-        """Go on from the set that was proposed, and traced."""
+        """Make the set that was proposed, and traced, the accepted one."""
         if self._culled is not self._cull:
             self.log.update(self._changed, self._after)
             self._culled, self._accepted = self._cull, self.proposed

@@ -20,7 +20,7 @@ from ..accel.region_tree import FANOUT, Regions
 from ..arrays import F64, I32, I64
 from .budget import ENTRY_BYTES, Savings
 
-# paths that met it, from which on an instance, or a pool, is judged by them: their number is then known to a third
+# paths that must meet an instance, or a pool, for it to be a unit: their number is then known to a third (1 / sqrt(8))
 EVIDENCE = 8
 
 

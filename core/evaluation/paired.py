@@ -100,13 +100,13 @@ class Pairs:
         tile = np.bincount(of, minlength=ROWS * COLUMNS)  # cells in each
         area = np.bincount(of, pixels, ROWS * COLUMNS)
         brightness = np.sqrt((_by_tile(light, of) ** 2).mean(axis=1)) / area
-        # (C,) of a cell of such a tile
+        # (C,) of a cell of a tile of that brightness
         brightness = np.maximum(brightness, max(DARKEST * brightness.mean(), 1e-30))[of] * pixels
 
         # (K, C, channels)
         by_pair = np.stack([_sums(x, cell, len(of)) for x in difference]) / brightness[None, :, None]
         together = np.average(by_pair, axis=0, weights=weight)
-        # without that pair
+        # the mean without that pair
         rest = (weight.sum() * together - weight[:, None, None] * by_pair) / (weight.sum() - weight)[:, None, None]
         length = np.linalg.norm(rest, axis=2)
         along = np.divide((by_pair * rest).sum(axis=2), length, out=np.zeros_like(length), where=length > 0)

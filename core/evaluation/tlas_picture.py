@@ -204,20 +204,8 @@ def render(
     def band(row: int) -> None:
         part = picture[row : row + _BAND]
         _draw(
-            tlas.handle,
-            tlas.ids,
-            tlas.first,
-            scene.instances.transform,
-            tint,
-            hitboxes.handle,
-            frame,
-            light,
-            colors,
-            line,
-            far,
-            pixel,
-            row,
-            part,
+            tlas.handle, tlas.ids, tlas.first, scene.instances.transform, tint, hitboxes.handle, frame, light, colors,
+            line, far, pixel, row, part
         )
 
     with ThreadPoolExecutor(threads or processors()) as pool:

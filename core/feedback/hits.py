@@ -21,8 +21,8 @@ _FIXED = float(1 << 20)  # units of fixed point to the picture's mean luminance
 
 
 def sparse_zeros(shape: tuple[int, ...], dtype: Any = np.int64) -> Any:
-    """Zeros, an array of which few are ever touched: memory by pages of 4 kB, where NumPy asks the system for pages of
-    2 MB, so that hits on a few hundred of a million instances would take, and clear, all 40 MB, in every round."""
+    """Zeros of which few are ever written: in pages of 4 kB, where NumPy asks the system for pages of 2 MB, so that
+    hits on a few hundred of a million instances would take, and clear, all 40 MB in every round."""
     size, each = math.prod(shape), np.dtype(dtype).itemsize
     if hasattr(mmap, "MADV_NOHUGEPAGE"):  # private: what is only read takes nothing either
         memory = mmap.mmap(-1, max(each * size, 1), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
@@ -85,7 +85,7 @@ class Feedback:
 
     @staticmethod
     def zeros(instances: int, boxes: Hitboxes | None = None, weights: Weights | None = None) -> Feedback:
-        """Nothing met yet."""
+        """Counts of 0 for so many instances, and the counters of boxes."""
         hits = sparse_zeros((instances, RAY_TYPES))
         if boxes is None:
             return Feedback(hits, np.zeros((0, RAY_TYPES), np.int64), np.uint64(0), weights=weights)

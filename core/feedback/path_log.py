@@ -18,8 +18,8 @@ from ..scene.film import LUMINANCE
 from ..threads import over_parts
 from .hits import sparse_zeros
 
-# int32 per path, a line of the cache: how many entries it met, then the entries; a path that met more counts as one
-# that met everything
+# int32 per path, a cache line: how many entries it met, then the entries; a path that met more than fit counts as one
+# that met all
 RECORD = 16
 
 
@@ -63,7 +63,7 @@ class PathLog:
         over_parts(lambda a, b: _take(marked[a:b], *(x[a:b] for x in (*mine, *theirs))), only.size)
 
     def clear(self, only: NDArray[np.uint8]) -> None:
-        """Of the paths that only, (H, W, S), marks, forget what they met."""
+        """Empty the records of the paths that only, (H, W, S), marks."""
         marked, records = only.reshape(-1), self.records.reshape(-1, RECORD)
         over_parts(lambda a, b: _clear(marked[a:b], records[a:b]), only.size)
 

@@ -225,17 +225,8 @@ class Report:
     def table(self) -> str:
         """Frames and totals as text."""
         head = (
-            "frame",
-            "instances",
-            "active",
-            "hitboxes",
-            "BLAS",
-            "TLAS",
-            "sync",
-            "build",
-            "trace",
-            "write-back",
-            "render",
+            "frame", "instances", "active", "hitboxes", "BLAS", "TLAS", "sync", "build", "trace", "write-back",
+            "render"
         )
         rows = [
             (
@@ -248,7 +239,7 @@ class Report:
         ]
         totals = self.totals()
         everything = totals["wall_s"]
-        # what two threads do at a time counts twice there
+        # render_s counts twice what two threads do at a time
         last = f"{everything:.1f} s in all, of which {min(totals['render_s'], everything):.1f} s rendering"
         if totals["verify_s"]:
             last += f", {totals['verify_s']:.1f} s verifying"

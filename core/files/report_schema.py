@@ -118,13 +118,8 @@ FRAME: dict[str, tuple[dict[str, Any], str]] = {
             "properties": {
                 **dict.fromkeys(
                     (
-                        "removed",
-                        "hidden_objects",
-                        "masked_hosts",
-                        "particle_hosts",
-                        "face_hosts",
-                        "faces_removed",
-                        "emptied_sources",
+                        "removed", "hidden_objects", "masked_hosts", "particle_hosts", "face_hosts", "faces_removed",
+                        "emptied_sources"
                     ),
                     COUNT,
                 ),

@@ -37,9 +37,8 @@ MOST_BOXES = 1 << 17  # before lamps: 14 MB of them, built in a fifth of a secon
 # limits of the certified error between which the picture fades to the mixture with the raster (linear ramp)
 SURE, UNSURE = 0.02, 0.03
 CELL = 4  # pixels of an analysis' picture, each way, that are compared as one
-DEVIATIONS = (
-    2.0  # confidence multiplier (sigma): by so many standard errors a share of paths may be too large by chance
-)
+# confidence multiplier (sigma): by so many standard errors a share of paths may be too large by chance
+DEVIATIONS = 2.0
 
 
 def with_mode(scene: Scene, mode: str) -> Scene:

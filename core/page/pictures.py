@@ -87,8 +87,7 @@ def _embedded(picture: Image, widest: int, kind: str) -> Embedded:
 
 def changes_of(full: Path, culled: Path) -> F32 | None:
     """By how much the tiles of two pictures in OpenEXR differ, (ROWS, COLUMNS), rows bottom up, noise included; None
-    where
-    they cannot be compared."""
+    where they cannot be compared."""
     a, b = _linear(full), _linear(culled)
     if a is None or b is None or a.shape != b.shape:
         return None
@@ -113,8 +112,7 @@ def _linear(path: Path) -> F32 | None:
 
 def tiles(changes: F32 | None, bound: float) -> list[Tile]:
     """What is known of the tiles: changes (ROWS, COLUMNS), rows bottom up as in Blender, NaN where a tile was not
-    looked
-    at, None where none was; bound: of each."""
+    looked at, None where none was; bound: of each."""
     if changes is None:
         return []
     found = np.argwhere(np.isfinite(changes))
@@ -134,8 +132,7 @@ def of_crops(crops: list[list[int]], changes: list[list[float]], grid: tuple[int
 
 def flip_map(full: Image, culled: Image) -> tuple[U8, float] | None:
     """FLIP of two pictures as displayed, in the Magma colours that it is published with: (H, W, 3), rows from the top;
-    and its mean. None where their
-    sizes differ."""
+    and its mean. None where their sizes differ."""
     from matplotlib import colormaps
 
     from ..evaluation.metrics import flip

@@ -184,9 +184,8 @@ def _pictures(folder: Path, frame: int) -> tuple[Path, Path, Path]:
 @dataclass(frozen=True)
 class Pictures:
     """What a page shows of a frame. before, after: with everything and culled; parts: left, bottom, width, height of
-    what
-    of the former was rendered with everything, as shares of the picture, none where that is all of it. flip: how much
-    both differ to the eye, and the mean of it. certified, verified: by tile, over `dim`, in colours by `scale`.
+    what of the former was rendered with everything, as shares of the picture, none where that is all of it. flip: how
+    much both differ to the eye, and the mean of it. certified, verified: by tile, over `dim`, in colours by `scale`.
     measured: the mean change and that of the worst tile, where whole pictures were compared, and `verified` is of
     these.
     """

@@ -13,8 +13,7 @@ GOOD, FAIR, BAD = "good", "fair", "bad"
 @dataclass(frozen=True)
 class Verdict:
     """standing: GOOD, FAIR (nobody can tell, or there is nothing to tell) or BAD; headline: in a few words; sentences:
-    what
-    it rests on. culled, certified, verified: whether any frame is."""
+    what it rests on. culled, certified, verified: whether any frame is."""
 
     standing: str
     headline: str

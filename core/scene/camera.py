@@ -14,16 +14,7 @@ from .model import Camera
 
 CAMERA = 32
 _TO_WORLD, _FRAME, _ORTHO, _NEAR, _FAR, _APERTURE, _FOCUS, _BLADES, _ROTATION, _RATIO = (
-    0,
-    12,
-    16,
-    17,
-    18,
-    19,
-    20,
-    21,
-    22,
-    23,
+    0, 12, 16, 17, 18, 19, 20, 21, 22, 23
 )
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 _TWO_PI = np.float32(2 * math.pi)

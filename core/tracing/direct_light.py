@@ -111,14 +111,8 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
         blocked = w.shadow[TFAR] < _ZERO
         if count:
             count_boxes(
-                s.hitboxes,
-                s.counters,
-                s.counters_length,
-                w.query,
-                w.shadow_words,
-                far,
-                _SHADOW,
-                s.settings[I_HITBOX_NEAREST],
+                s.hitboxes, s.counters, s.counters_length, w.query, w.shadow_words, far, _SHADOW,
+                s.settings[I_HITBOX_NEAREST]
             )
         return not blocked
     while True:
@@ -128,14 +122,8 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
         t = w.shadow[TFAR] if hit else far
         if count:
             crossed = count_boxes(
-                s.hitboxes,
-                s.counters,
-                s.counters_length,
-                w.query,
-                w.shadow_words,
-                t,
-                _SHADOW,
-                s.settings[I_HITBOX_NEAREST],
+                s.hitboxes, s.counters, s.counters_length, w.query, w.shadow_words, t, _SHADOW,
+                s.settings[I_HITBOX_NEAREST]
             )
             doubtful = doubtful or (crossed > 0 and weighed)
         if not hit:
@@ -160,13 +148,8 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
         hits_left -= 1
         if composed(material):
             interpolate(
-                mesh,
-                s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance),
-                triangle,
-                b1,
-                b2,
-                w.far_surf,
-                w.far_frame,
+                mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, w.far_surf,
+                w.far_frame
             )
             view = _SHADOW + (_VIEWS if face(w.far_frame, dx, dy, dz) else np.int64(0))
             material = part_of(s.table, mesh, material, triangle, b1, b2, view, hit_number(triangle, b1, b2))
@@ -179,13 +162,8 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
         if not (w.radiance[0] > _ZERO or w.radiance[1] > _ZERO or w.radiance[2] > _ZERO):
             return False
         interpolate(
-            mesh,
-            s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance),
-            triangle,
-            b1,
-            b2,
-            w.far_surf,
-            w.far_frame,
+            mesh, s.table[T_TRANSFORM] + _INSTANCE_BYTES * np.uint64(instance), triangle, b1, b2, w.far_surf,
+            w.far_frame
         )
         ex, ey, ez = offset_origin(w.far_surf, w.far_frame, dx, dy, dz)
         step = ((ex - ox) * dx + (ey - oy) * dy + (ez - oz) * dz) / (dx * dx + dy * dy + dz * dz)

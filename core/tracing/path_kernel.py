@@ -147,14 +147,8 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             part = STRAIGHT if bounce == 0 else CLEAR if second else NO_PART
         if count and not first:
             crossed = count_boxes(
-                s.hitboxes,
-                s.counters,
-                s.counters_length,
-                w.query,
-                w.ray_words,
-                t,
-                ray_type,
-                s.settings[I_HITBOX_NEAREST],
+                s.hitboxes, s.counters, s.counters_length, w.query, w.ray_words, t, ray_type,
+                s.settings[I_HITBOX_NEAREST]
             )
             if crossed > 0 and s.settings[I_UNBUILT] >= 0:
                 record_vertex(s, w, s.settings[I_UNBUILT], tr, tg, tb)
@@ -259,22 +253,8 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             if mis and load_u8(material + M_MIS, 0) != 0:
                 if strategy == BOTH:
                     density = triangle_density(
-                        s.table,
-                        s.lights,
-                        s.nodes,
-                        s.children,
-                        instance,
-                        triangle,
-                        px,
-                        py,
-                        pz,
-                        nx,
-                        ny,
-                        nz,
-                        dx,
-                        dy,
-                        dz,
-                        t + before,
+                        s.table, s.lights, s.nodes, s.children, instance, triangle, px, py, pz, nx, ny, nz, dx, dy, dz,
+                        t + before
                     )
                     f = power_heuristic(pdf, density)
                 elif strategy == LIGHT_ONLY:

@@ -26,7 +26,7 @@ def save_baked(path: Path) -> None:
 
 def save_copy(path: Path) -> None:
     """Save the open file as a copy at path. Raises OSError, RuntimeError."""
-    # no copy of the empty file that is there
+    # no backup (.blend1) of the empty file that is saved over
     with replacing(path) as part, muted(), changed(bpy.context.preferences.filepaths, save_version=0):
         bpy.ops.wm.save_as_mainfile(filepath=str(part.resolve()), check_existing=False, copy=True)
 

@@ -28,7 +28,7 @@ from .shot_set import ShotSet
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
 
-# over view layers, and what ends in _s
+# figures that are summed over view layers, as all that end in _s are
 SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays", "iterations", "calibration_paths")
 
 
@@ -84,17 +84,8 @@ def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, A
     weighed = (Weighed.of(extraction, result, entry["frame"], bpy.context.scene),)
     entry = entry | result.stats
     return Decided(
-        result.state,
-        result.score,
-        result.hits,
-        boxes,
-        keys.records,
-        keys.names,
-        entry,
-        *lines,
-        faces,
-        result.tiles,
-        weighed,
+        result.state, result.score, result.hits, boxes, keys.records, keys.names, entry, *lines, faces, result.tiles,
+        weighed
     )
 
 

@@ -42,7 +42,7 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
         report.note(report.warnings, [STEREO])
     if job.engine == "cycles" and (note := find_device(bpy.context.scene, job.device).note):
         report.note(report.warnings, [note])
-    # else what is there stays until there is something to say
+    # else the report of an earlier run stays until a frame is finished
     if reported is not None or not (job.folder / "report.json").exists():
         report.write(job.folder)
     with muted():

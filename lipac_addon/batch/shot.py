@@ -109,7 +109,7 @@ def _render_kept(
 
     n, before = len(active), dict(entry)
     nothing = np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64)
-    # more is kept than what that was measured without
+    # still a bound: at least as much is kept as where it was measured
     changes = {name: before[name] for name in ("certified_mean",) if name in before}
     hybrid(
         job,

@@ -7,8 +7,7 @@ Many frames, of which only what changes is read: `Extractor`. In steps: `extract
 `with_render_depsgraph(scene, frame, lambda graph: extract(graph, world))`.
 
 Read in the order of use: `depsgraph` (a graph in render mode), `graph` (its objects, with `geometry`), `instances`
-(what they place),
-`shading` (materials), `scene` (all together), `session` (over frames).
+(what they place), `shading` (materials), `scene` (all together), `session` (over frames).
 """
 
 from ..depsgraph import with_render_depsgraph
@@ -18,13 +17,6 @@ from .session import Extractor, extract_frame
 from .world import ExtractedWorld, extract_world
 
 __all__ = [
-    "ExtractedWorld",
-    "Extraction",
-    "Extractor",
-    "add_framing_camera",
-    "extract",
-    "extract_frame",
-    "extract_world",
-    "frame_camera",
-    "with_render_depsgraph",
+    "ExtractedWorld", "Extraction", "Extractor", "add_framing_camera", "extract", "extract_frame", "extract_world",
+    "frame_camera", "with_render_depsgraph"
 ]

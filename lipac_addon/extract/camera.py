@@ -108,16 +108,8 @@ def extract_camera(item: Any, scene: Any, film: Film) -> Camera:
         focus = abs(float(to_world[:, 2] @ (to_world[:, 3] - target[:3, 3])))
     blades = dof.aperture_blades if dof.aperture_blades >= 3 else 0
     return Camera(
-        to_world,
-        frame,
-        orthographic,
-        data.clip_start,
-        data.clip_end,
-        aperture,
-        focus,
-        blades,
-        dof.aperture_rotation,
-        dof.aperture_ratio,
+        to_world, frame, orthographic, data.clip_start, data.clip_end, aperture, focus, blades, dof.aperture_rotation,
+        dof.aperture_ratio
     )
 
 

@@ -42,7 +42,7 @@ def _pick(rows: Rows, index: NDArray[np.intp]) -> Rows:
 
 
 def _differ(a: Rows, b: Rows) -> Mask:
-    """(N,) bool, rows whose transform, bounds, mesh, slots or flags are others."""
+    """(N,) bool, rows whose transform, bounds, mesh, slots or flags have changed."""
     out = (a.mesh != b.mesh) | (a.slots != b.slots) | (a.flags != b.flags)
     out |= (a.transform != b.transform).any(axis=(1, 2))
     return np.asarray(out | (a.bounds != b.bounds).any(axis=(1, 2)))

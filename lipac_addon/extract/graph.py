@@ -40,8 +40,8 @@ NOTHING_TYPES = {"ARMATURE", "CAMERA", "SPEAKER", "LATTICE"}  # show nothing the
 
 
 def top_level(depsgraph: Any, layer: Any) -> Iterator[Any]:
-    """Objects visible in the render, and those hidden themselves whose instances are visible (which
-    `depsgraph.objects` leaves out)."""
+    """Objects visible in the render, and those hidden themselves whose instances are visible (which `depsgraph.objects`
+    leaves out)."""
     seen: set[int] = set()
     for item in depsgraph.objects:
         seen.add(item.as_pointer())
@@ -225,7 +225,7 @@ class GraphReader:
         before: Any = self._before.get(f"collection {name}") if members is None else copy(members)
         if members is None:
             members = self._members[key] = Members(collection, name, offset)
-        # a cycle ends here
+        # seen from here on, so that a cycle of collections ends
         members.collection, members.full_name, members.offset = collection, name, offset
         members.objects, members.seen = [], self.frame
         shown = {item.as_pointer() for item in visible_members(collection)}

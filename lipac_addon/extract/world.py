@@ -26,17 +26,8 @@ BAKE_HEIGHT = 512  # of worlds without an image
 MAX_HEIGHT = 2048
 _FILMS = {"SEQUENCE", "MOVIE"}
 _NO_LOOKS = {
-    "rna_type",
-    "inputs",
-    "outputs",
-    "internal_links",
-    "parent",
-    "location",
-    "location_absolute",
-    "width",
-    "height",
-    "dimensions",
-    "select",
+    "rna_type", "inputs", "outputs", "internal_links", "parent", "location", "location_absolute", "width", "height",
+    "dimensions", "select"
 }
 _DEPTH = 4  # of structs within a node: curves hold curves hold points
 SUPERSAMPLES = 16  # Cycles samples a pixel where edges (sun disc) are to be averaged
@@ -249,8 +240,7 @@ def _pane(made: list[Any]) -> Any:
 
 def bake(world: Any, height: int, samples: int, through: bool = False) -> F32:
     """(height, 2 height, 3) float32 equirectangular radiance of a bpy.types.World, oriented as `World.image`; through:
-    as others than camera rays
-    see it. Raises InputError if Cycles fails."""
+    as others than camera rays see it. Raises InputError if Cycles fails."""
     from ..pictures import read_picture
 
     with (
@@ -269,12 +259,7 @@ def bake(world: Any, height: int, samples: int, through: bool = False) -> F32:
         scene.render.film_transparent = False
         c = scene.cycles
         c.device, c.samples, c.use_adaptive_sampling, c.use_denoising, c.max_bounces, c.film_exposure = (
-            "CPU",
-            samples,
-            False,
-            False,
-            4 * through,
-            1.0,
+            "CPU", samples, False, False, 4 * through, 1.0
         )
         c.transmission_bounces = 4 * through  # an edge may be met twice
         c.pixel_filter_type, c.filter_width, c.sample_clamp_direct, c.seed = "BOX", 1.0 if samples > 1 else 0.01, 0.0, 0

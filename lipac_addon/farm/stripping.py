@@ -13,16 +13,8 @@ from ..writeback.marks import EMPTIED, HIDDEN, MODIFIER, all_marks
 
 # Kept by a fake user alone, these are nothing to a render
 _FAKE = (
-    "meshes",
-    "curves",
-    "materials",
-    "images",
-    "node_groups",
-    "textures",
-    "armatures",
-    "actions",
-    "objects",
-    "collections",
+    "meshes", "curves", "materials", "images", "node_groups", "textures", "armatures", "actions", "objects",
+    "collections"
 )
 
 

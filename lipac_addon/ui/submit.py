@@ -45,7 +45,7 @@ class LIPAC_OT_submit_shot(Explained, bpy.types.Operator):
     def obstacle(cls, context: bpy.types.Context) -> str:
         if engine.missing():
             return engine.obstacle()
-        # before, a file in the background stayed unsaved whatever was done
+        # before 5.1 a file counts as unsaved in the background, whatever was done
         sure = not bpy.app.background or bpy.app.version >= (5, 1)
         if not bpy.data.filepath or (sure and bpy.data.is_dirty):
             return "Save the file first: that is what a farm's machines open"

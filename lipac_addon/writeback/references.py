@@ -15,13 +15,8 @@ _SIMULATION = {"COLLISION", "FLUID", "DYNAMIC_PAINT"}
 _OTHER_TYPES = {"LIGHT", "LIGHT_PROBE", "VOLUME", "CURVES", "POINTCLOUD", "META", "GREASEPENCIL", "GPENCIL"}
 # What may name an object without looking at its faces: where it is, or that it is there
 _HARMLESS = (
-    bpy.types.Scene,
-    bpy.types.Collection,
-    bpy.types.Camera,
-    bpy.types.Material,
-    bpy.types.World,
-    bpy.types.Light,
-    bpy.types.Action,
+    bpy.types.Scene, bpy.types.Collection, bpy.types.Camera, bpy.types.Material, bpy.types.World, bpy.types.Light,
+    bpy.types.Action
 )
 _SWITCHES = {"hide_render", "show_render"}
 

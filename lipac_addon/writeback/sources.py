@@ -13,7 +13,7 @@ import bpy
 from .references import animatable, inputs_of
 
 _HOLDERS = (bpy.types.Collection, bpy.types.Scene, bpy.types.WindowManager, bpy.types.Screen, bpy.types.WorkSpace)
-# and the socket that says of what
+# nodes that read an object or a collection, and the socket that names it
 _INFOS = {"GeometryNodeObjectInfo": "Object", "GeometryNodeCollectionInfo": "Collection"}
 _PASSES = {  # nodes that hand instances on, whatever these show; of those with a domain, in that of instances
     *(

@@ -28,16 +28,8 @@ PLATFORMS = {
 }
 # Of docs/: the manual of the panel's controls, and what it refers to
 PAGES = (
-    "user-guide",
-    "write-back",
-    "live",
-    "viewport",
-    "error",
-    "supported",
-    "for-my-scene",
-    "troubleshooting",
-    "install",
-    "glossary",
+    "user-guide", "write-back", "live", "viewport", "error", "supported", "for-my-scene", "troubleshooting", "install",
+    "glossary"
 )
 STYLE = (
     "body{max-width:60em;margin:2em auto;font:16px/1.5 sans-serif}img{max-width:100%}td,th{padding:.2em "

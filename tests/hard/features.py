@@ -407,14 +407,8 @@ def visibility(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     for ob in [*(put(choose, body(choose)) for _ in range(4)), choose.one(hosts(scene))]:
         name = choose.one(
             (
-                "visible_camera",
-                "visible_diffuse",
-                "visible_glossy",
-                "visible_transmission",
-                "visible_shadow",
-                "is_holdout",
-                "is_shadow_catcher",
-                "hide_render",
+                "visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission", "visible_shadow",
+                "is_holdout", "is_shadow_catcher", "hide_render"
             )
         )
         setattr(ob, name, not getattr(ob, name))
@@ -736,12 +730,8 @@ def passes(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
     """Passes, cryptomattes, outputs of materials; denoising and adaptive sampling."""
     layer = scene.view_layers[0]
     for name in (
-        "use_pass_z",
-        "use_pass_mist",
-        "use_pass_normal",
-        "use_pass_vector",
-        "use_pass_cryptomatte_object",
-        "use_pass_object_index",
+        "use_pass_z", "use_pass_mist", "use_pass_normal", "use_pass_vector", "use_pass_cryptomatte_object",
+        "use_pass_object_index"
     ):
         setattr(layer, name, bool(choose.integer(0, 1)))
     layer.aovs.add().name = "own"

@@ -132,18 +132,8 @@ def _modify(choose: Seeded, item: Any) -> None:
     for _ in range(choose.integer(0, 2)):
         kind = choose.one(
             (
-                "SUBSURF",
-                "ARRAY",
-                "MIRROR",
-                "SOLIDIFY",
-                "DECIMATE",
-                "BEVEL",
-                "WAVE",
-                "TRIANGULATE",
-                "WELD",
-                "CAST",
-                "BUILD",
-                "WIREFRAME",
+                "SUBSURF", "ARRAY", "MIRROR", "SOLIDIFY", "DECIMATE", "BEVEL", "WAVE", "TRIANGULATE", "WELD", "CAST",
+                "BUILD", "WIREFRAME"
             )
         )
         modifier = item.modifiers.new(kind, kind)
@@ -228,13 +218,7 @@ def snapshot() -> dict[str, Any]:
 def _plain(thing: Any) -> dict[str, str]:
     # of what is evaluated, not of the data
     skipped = {
-        "session_uid",
-        "is_updated",
-        "is_updated_data",
-        "execution_time",
-        "dimensions",
-        "matrix_world",
-        "matrix_local",
+        "session_uid", "is_updated", "is_updated_data", "execution_time", "dimensions", "matrix_world", "matrix_local"
     }
     return {
         p.identifier: _text(thing, p)

@@ -41,18 +41,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "render cycles": ("render", "scene.blend", "-o", "cycles", "--frames", "1-2", "--engine", "cycles", *SMALL),
     "render baked": ("render", "baked.blend", "-o", "again", "--engine", "cycles", *SMALL),
     "analyze": (
-        "analyze",
-        "scene.blend",
-        "-o",
-        "shot",
-        "--frames",
-        "1-2",
-        "--bake",
-        "shot",
-        "--save",
-        "baked.blend",
-        *SMALL[:2],
-        *SMALL[4:],
+        "analyze", "scene.blend", "-o", "shot", "--frames", "1-2", "--bake", "shot", "--save", "baked.blend",
+        *SMALL[:2], *SMALL[4:]
     ),
 }
 INTERRUPTED = 500  # seconds that a command may take
@@ -201,12 +191,8 @@ def _lay_out(folder: Path, work: Path, finished: bool = True) -> None:
     if finished:
         shutil.copytree(folder / "out", work / "out")
     for name in (
-        "notes.txt",
-        "out/notes.txt",
-        "out/.lipac/mine",
-        "out/frame_0003.txt",
-        "out/.frame_0003.mine.part",
-        "cycles/frame_0009.png",
+        "notes.txt", "out/notes.txt", "out/.lipac/mine", "out/frame_0003.txt", "out/.frame_0003.mine.part",
+        "cycles/frame_0009.png"
     ):
         (work / name).parent.mkdir(parents=True, exist_ok=True)
         (work / name).write_text("of the user's")

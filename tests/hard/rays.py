@@ -33,16 +33,8 @@ def misses(tlas: Any, origin: Any, direction: Any) -> Any:
     count = 0
     for i in range(len(origin)):
         embree.set_ray(
-            ray,
-            origin[i, 0],
-            origin[i, 1],
-            origin[i, 2],
-            direction[i, 0],
-            direction[i, 1],
-            direction[i, 2],
-            0.0,
-            np.inf,
-            1,
+            ray, origin[i, 0], origin[i, 1], origin[i, 2], direction[i, 0], direction[i, 1], direction[i, 2], 0.0,
+            np.inf, 1
         )
         count += not embree.intersect(tlas, ray)
     return count
@@ -201,16 +193,8 @@ def crossings(handle: Any, counters: Any, query: Any, origin: Any, direction: An
     ray = np.zeros(embree.RAY, np.float32)
     for i in range(len(origin)):
         embree.set_ray(
-            ray,
-            origin[i, 0],
-            origin[i, 1],
-            origin[i, 2],
-            direction[i, 0],
-            direction[i, 1],
-            direction[i, 2],
-            0.0,
-            1e30,
-            1,
+            ray, origin[i, 0], origin[i, 1], origin[i, 2], direction[i, 0], direction[i, 1], direction[i, 2], 0.0, 1e30,
+            1
         )
         hitboxes.count_crossings(handle, counters, query, ray, far, 0, hitboxes.ALL_CROSSINGS)
 

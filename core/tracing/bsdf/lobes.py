@@ -99,25 +99,14 @@ SINGULAR_ALPHA2 = 2e-10
 DELTA = 1e6  # density that stands for a delta distribution
 
 PRINCIPLED, DIFFUSE_SHADER, GLOSSY_SHADER, GLASS_SHADER, TRANSPARENT_SHADER, REFRACTION_SHADER, TRANSLUCENT_SHADER = (
-    int(Shader.PRINCIPLED),
-    int(Shader.DIFFUSE),
-    int(Shader.GLOSSY),
-    int(Shader.GLASS),
-    int(Shader.TRANSPARENT),
-    int(Shader.REFRACTION),
-    int(Shader.TRANSLUCENT),
+    int(Shader.PRINCIPLED), int(Shader.DIFFUSE), int(Shader.GLOSSY), int(Shader.GLASS), int(Shader.TRANSPARENT),
+    int(Shader.REFRACTION), int(Shader.TRANSLUCENT)
 )
 
 # Energy tables, one after the other: a kernel holds one constant and one kind of lookup, which halves its compile time.
 _COARSE = (
-    "reflection",
-    "reflection_mean",
-    "glass",
-    "glass_mean",
-    "glass_inside",
-    "glass_inside_mean",
-    "schlick",
-    "schlick_ior",
+    "reflection", "reflection_mean", "glass", "glass_mean", "glass_inside", "glass_inside_mean", "schlick",
+    "schlick_ior"
 )
 _NAMES = (*_COARSE, *(f"fine_{name}" for name in _COARSE))
 _loaded = ggx_albedo.load()

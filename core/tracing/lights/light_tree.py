@@ -98,13 +98,8 @@ def _cost(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _take(b: LightBounds, order: NDArray[np.int64]) -> LightBounds:
     return LightBounds(
-        b.low[order],
-        b.high[order],
-        b.axis[order],
-        b.theta_o[order],
-        b.theta_e[order],
-        b.power[order],
-        b.two_sided[order],
+        b.low[order], b.high[order], b.axis[order], b.theta_o[order], b.theta_e[order], b.power[order],
+        b.two_sided[order]
     )
 
 

@@ -169,6 +169,6 @@ class MeshTable:
 
 
 def _differ(a: NDArray[Any] | None, b: NDArray[Any] | None) -> bool:
-    """Whether two origins are others; None is zero."""
+    """Whether two origins differ; None is zero."""
     zero = np.zeros(3)
     return not np.array_equal(zero if a is None else a, zero if b is None else b)

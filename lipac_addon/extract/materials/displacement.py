@@ -24,15 +24,8 @@ UNIT = (0.0, 1.0)
 RANGES = {
     **dict.fromkeys(
         (
-            "TEX_WAVE",
-            "TEX_GRADIENT",
-            "TEX_MAGIC",
-            "TEX_CHECKER",
-            "TEX_BRICK",
-            "TEX_WHITE_NOISE",
-            "RGBTOBW",
-            "INVERT",
-            "CLAMP",
+            "TEX_WAVE", "TEX_GRADIENT", "TEX_MAGIC", "TEX_CHECKER", "TEX_BRICK", "TEX_WHITE_NOISE", "RGBTOBW", "INVERT",
+            "CLAMP"
         ),
         UNIT,
     ),
@@ -102,7 +95,7 @@ def _negative(a: Interval) -> Interval:
 
 def _product(a: Interval, b: Interval) -> Interval:
     with np.errstate(invalid="ignore"):
-        # nothing times anything is nothing
+        # 0 x inf is 0 here: an end that is 0 stays so whatever it is multiplied by
         ends = np.nan_to_num(np.outer(a, b), nan=0.0, posinf=np.inf, neginf=-np.inf)
     return float(ends.min()), float(ends.max())
 

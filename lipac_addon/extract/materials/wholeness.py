@@ -8,14 +8,8 @@ from typing import Any
 NODES = frozenset(
     f"ShaderNode{kind}"
     for kind in (
-        "SubsurfaceScattering",
-        "VolumeAbsorption",
-        "VolumeScatter",
-        "VolumePrincipled",
-        "VolumeCoefficients",
-        "AmbientOcclusion",
-        "Bevel",
-        "Raycast",
+        "SubsurfaceScattering", "VolumeAbsorption", "VolumeScatter", "VolumePrincipled", "VolumeCoefficients",
+        "AmbientOcclusion", "Bevel", "Raycast"
     )
 )
 # of the Geometry node: made from neighbours, and from what hangs together

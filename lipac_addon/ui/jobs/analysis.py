@@ -61,9 +61,8 @@ class AnalysisJob(Job):
         self._bake, self._applied = bake, False
         self._before: applying.Applied | None = None
         self._set_frame = scene.frame_current
-        self._extractor: Extractor | None = (
-            None  # these two go from frame to frame: what did not change is not analysed again
-        )
+        # these two go from frame to frame: what did not change is not analysed again
+        self._extractor: Extractor | None = None
         self._shot: Shot | None = None
         self._frames = tuple(frames) if frames is not None else props.asked_frames(scene)
         self._range = props.frame_range(scene)

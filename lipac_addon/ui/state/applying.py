@@ -31,16 +31,15 @@ class Applied:
 
 _last: Applied | None = None  # what `apply` did last, beside renders
 _held: Applied | None = None  # what comes back when the running render ends
-_marked: tuple[int, dict[int, list[str]]] | None = (
-    None  # words of marks by session uid, and how many objects there were
-)
+# words of marks by session uid, and how many objects there were
+_marked: tuple[int, dict[int, list[str]]] | None = None
 
 
 def apply(
     scene: bpy.types.Scene, result: FrameResult, in_render: bool = False, frames: range | None = None
 ) -> writeback.WritebackResult:
-    """Hide what a result culls from renders; pinned and ignored objects stay as they are, and scatters that are others
-    than those that were analysed.
+    """Hide what a result culls from renders; pinned and ignored objects stay as they are, and so do scatters that have
+    changed since they were analysed.
 
     in_render: until the running render ends. frames: that it holds for, None: its own. Write-back speaks of the whole
     file, so this takes the place of what another scene's result had hidden.
@@ -98,7 +97,7 @@ def cull_frame(scene: bpy.types.Scene) -> None:
     global _held  # noqa: PLW0603
     owner, frame, multi_view = applied_scene(), scene.frame_current, scene.render.use_multiview
     if owner is not None:
-        # where removing the mask would crash Blender
+        # there removing the mask would crash Blender
         if (owner == scene and frame in frames_of(scene) and not multi_view) or scenes_in_picture(scene):
             return
         _held = what_is_applied()

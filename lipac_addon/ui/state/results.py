@@ -81,18 +81,8 @@ class FrameResult:
             uid_of[name]: rows.copy() for name, rows in extraction.scatters.items() if uid_of.get(name, -1) >= 0
         }
         return FrameResult(
-            frame,
-            keys,
-            uids,
-            state,
-            result.score,
-            result.hits,
-            bounds,
-            result.boxes,
-            scene.origin,
-            stats,
-            lines,
-            scatters,
+            frame, keys, uids, state, result.score, result.hits, bounds, result.boxes, scene.origin, stats, lines,
+            scatters
         )
 
     @property

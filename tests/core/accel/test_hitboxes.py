@@ -31,16 +31,8 @@ def traced(handle, counters, query, origin, direction, far, nearest):
     ray = np.zeros(embree.RAY, np.float32)
     for i in range(len(origin)):
         embree.set_ray(
-            ray,
-            origin[i, 0],
-            origin[i, 1],
-            origin[i, 2],
-            direction[i, 0],
-            direction[i, 1],
-            direction[i, 2],
-            0.0,
-            1e30,
-            1,
+            ray, origin[i, 0], origin[i, 1], origin[i, 2], direction[i, 0], direction[i, 1], direction[i, 2], 0.0, 1e30,
+            1
         )
         hitboxes.count_crossings(handle, counters, query, ray, far[i], i % RAY_TYPES, nearest)
 

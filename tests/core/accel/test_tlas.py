@@ -20,16 +20,8 @@ def closest(tlas, ids, first, origin, direction, mask, instance, prim, distance)
     ray = np.zeros(embree.RAY, np.float32)
     for i in range(len(origin)):
         embree.set_ray(
-            ray,
-            origin[i, 0],
-            origin[i, 1],
-            origin[i, 2],
-            direction[i, 0],
-            direction[i, 1],
-            direction[i, 2],
-            0.0,
-            np.inf,
-            mask,
+            ray, origin[i, 0], origin[i, 1], origin[i, 2], direction[i, 0], direction[i, 1], direction[i, 2], 0.0,
+            np.inf, mask
         )
         instance[i], prim[i], distance[i] = -1, -1, np.inf
         if embree.intersect(tlas, ray):

@@ -39,12 +39,7 @@ def sun(toward: tuple[float, float, float], power: float = 3.0) -> s.Records:
     light = np.zeros(1, s.LIGHT)
     z = np.divide(toward, np.linalg.norm(toward))
     light["kind"], light["power"], light["angle"], light["cast_shadow"], light["normalize"], light["use_mis"] = (
-        s.LightKind.SUN,
-        power,
-        0.01,
-        1,
-        1,
-        1,
+        s.LightKind.SUN, power, 0.01, 1, 1, 1
     )
     light["visibility"], light["max_bounces"] = s.ALL_RAYS, 1024
     light["axis_z"], light["axis_x"], light["axis_y"] = z, (0, 1, 0), np.cross(z, (0, 1, 0))

@@ -31,16 +31,7 @@ def test_file_follows_the_contract(tmp_path):
     r.write(tmp_path)
     data = json.loads((tmp_path / "report.json").read_text())
     assert list(data)[:10] == [
-        "schema",
-        "scene",
-        "blender",
-        "lipac",
-        "policy",
-        "engine",
-        "seed",
-        "threads",
-        "frames",
-        "totals",
+        "schema", "scene", "blender", "lipac", "policy", "engine", "seed", "threads", "frames", "totals"
     ]
     assert data["schema"] == 1
     assert set(FIELDS) <= set(data["frames"][1])

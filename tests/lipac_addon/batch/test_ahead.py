@@ -113,18 +113,8 @@ def test_when_it_is_done(monkeypatch):
     assert arguments() == ()
     off[0] = True
     expected = (
-        "a.blend",
-        "--warm",
-        "--resolution",
-        "64x36",
-        "--threads",
-        "0",
-        "--seed",
-        "3",
-        "--camera",
-        "C",
-        "--max-error",
-        "0.02",
+        "a.blend", "--warm", "--resolution", "64x36", "--threads", "0", "--seed", "3", "--camera", "C", "--max-error",
+        "0.02"
     )
     assert arguments() == expected
     assert arguments(ahead=False) == arguments(alone=False) == arguments(scene=None) == ()

@@ -97,12 +97,8 @@ SUPPLIED = [
     *(
         f"small/{name}"
         for name in (
-            "CesiumMan.glb",
-            "Fox.glb",
-            "Knight.glb",
-            "animation_instanced.blend",
-            "particle_hair.blend",
-            "22_simple_GN.blend",
+            "CesiumMan.glb", "Fox.glb", "Knight.glb", "animation_instanced.blend", "particle_hair.blend",
+            "22_simple_GN.blend"
         )
     ),
     *("small/gn_nested_instances.blend", "candela_city.blend", "rooms1024.blend"),

@@ -141,12 +141,8 @@ def follow(frames: Iterable[int], step: Step = lambda _: None, keep: bool = True
 @pytest.mark.parametrize(
     "name",
     [
-        "CesiumMan.glb",
-        "Fox.glb",
-        "Knight.glb",
-        "animation_instanced.blend",
-        "particle_hair.blend",
-        "22_simple_GN.blend",
+        "CesiumMan.glb", "Fox.glb", "Knight.glb", "animation_instanced.blend", "particle_hair.blend",
+        "22_simple_GN.blend"
     ],
 )
 def test_supplied_animations(shared: Path, name: str, keep: bool) -> None:

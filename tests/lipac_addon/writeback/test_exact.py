@@ -23,16 +23,8 @@ from lipac.tests.lipac_addon.writeback.conftest import collection, empty, link, 
 
 AWAY = 1000.0  # metres along x of what the camera does not see
 PASSES = (
-    "z",
-    "position",
-    "normal",
-    "vector",
-    "uv",
-    "object_index",
-    "material_index",
-    "diffuse_color",
-    "shadow",
-    "ambient_occlusion",
+    "z", "position", "normal", "vector", "uv", "object_index", "material_index", "diffuse_color", "shadow",
+    "ambient_occlusion"
 )
 CRYPTOMATTES = ("object", "material", "asset")
 

@@ -55,19 +55,8 @@ def test_settings_are_as_the_manager_knows_them(manager: MiniRacer) -> None:
     """By the schema AvailableJobSetting of its API; what Blender fills in can be evaluated."""
     job_type = json.loads(str(manager.eval("JSON.stringify(JOB_TYPE)")))
     known = {
-        "key",
-        "type",
-        "subtype",
-        "choices",
-        "propargs",
-        "description",
-        "label",
-        "default",
-        "eval",
-        "evalInfo",
-        "visible",
-        "required",
-        "editable",
+        "key", "type", "subtype", "choices", "propargs", "description", "label", "default", "eval", "evalInfo",
+        "visible", "required", "editable"
     }
     for setting in job_type["settings"]:
         assert setting.keys() <= known

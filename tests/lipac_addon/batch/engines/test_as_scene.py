@@ -22,14 +22,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.blender]
 FAR = CullOptions(policy="distance", setting=19.5)  # the boxes behind the wall, which nothing shows
 # of each run its own
 OF_THE_RUN = (
-    "Date",
-    "DateTime",
-    "RenderTime",
-    "render_time",
-    "synchronization_time",
-    "total_time",
-    "Memory",
-    "Hostname",
+    "Date", "DateTime", "RenderTime", "render_time", "synchronization_time", "total_time", "Memory", "Hostname"
 )
 
 

@@ -107,19 +107,8 @@ def test_principled_constants() -> None:
     fields = dict(
         zip(
             [
-                "base_color",
-                "metallic",
-                "roughness",
-                "diffuse_roughness",
-                "ior",
-                "specular_level",
-                "specular_tint",
-                "transmission",
-                "alpha",
-                "coat",
-                "coat_roughness",
-                "coat_ior",
-                "coat_tint",
+                "base_color", "metallic", "roughness", "diffuse_roughness", "ior", "specular_level", "specular_tint",
+                "transmission", "alpha", "coat", "coat_roughness", "coat_ior", "coat_tint"
             ],
             values.values(),
             strict=False,
