@@ -47,7 +47,9 @@ class _Sidebar:
     bl_category = "LiPaC"
 
 
-class _Child(_Sidebar):
+class Child(_Sidebar):
+    """A panel below that of LiPaC."""
+
     bl_parent_id = "LIPAC_PT_main"
 
     @classmethod
@@ -99,7 +101,7 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
             _lines(layout, applying.notes)
 
 
-class LIPAC_PT_results(_Child, bpy.types.Panel):
+class LIPAC_PT_results(Child, bpy.types.Panel):
     """Figures of the current frame."""
 
     bl_label = "Results"
@@ -120,7 +122,7 @@ class LIPAC_PT_results(_Child, bpy.types.Panel):
         _lines(layout, result.warnings)
 
 
-class LIPAC_PT_object(_Child, bpy.types.Panel):
+class LIPAC_PT_object(Child, bpy.types.Panel):
     """Why the active object stays or goes; Pin and Ignore."""
 
     bl_label = "Object and Collection"
@@ -142,7 +144,7 @@ class LIPAC_PT_object(_Child, bpy.types.Panel):
             row.operator(LIPAC_OT_mark.bl_idname, text=label).role = name
 
 
-class LIPAC_PT_overlay(_Child, bpy.types.Panel):
+class LIPAC_PT_overlay(Child, bpy.types.Panel):
     """What the viewport shows of the result."""
 
     bl_label = "Overlay"
@@ -162,7 +164,7 @@ class LIPAC_PT_overlay(_Child, bpy.types.Panel):
         layout.prop(settings, "freeze")
 
 
-class LIPAC_PT_advanced(_Child, bpy.types.Panel):
+class LIPAC_PT_advanced(Child, bpy.types.Panel):
     """Settings that rarely need a change."""
 
     bl_label = "Advanced"

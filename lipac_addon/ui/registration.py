@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import atexit
 
-from . import handlers, manual, operators, panel, submit
+from . import handlers, manual, memory_panel, operators, panel, submit
 from .draw import overlay
 from .jobs import job, live
 from .state import props, results
 
-_MODULES = (props, operators, submit, panel, manual, overlay, handlers)
+_MODULES = (props, operators, submit, panel, memory_panel, manual, overlay, handlers)
 
 
 def register() -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from ....core.errors import InputError
+from ....core.files.memory_table import merged
 from ...keys import any_of
 from ..state import applying, props, results, scatters, session
 from . import engine
@@ -133,6 +134,7 @@ class AnalysisJob(Job):
     def _analyse(self, number: int, k: int) -> Generator[None, None, results.FrameResult]:
         """A frame."""
         from ....core.culling.shot import Shot
+        from ...memory.rows import Weighed
 
         n = len(self._frames)
         name = f"frame {number}: " if n > 1 else ""
@@ -167,7 +169,8 @@ class AnalysisJob(Job):
             lambda: shot.advance(asked, extraction.change, report, lambda: self.cancelled, pinned), self.cancel, meshes
         )
         self._check()
-        return replace(results.FrameResult.of(number, extraction, uids, result, pinned), prints=prints)
+        memory = tuple(merged(Weighed.of(extraction, result, number, scene).rows()))
+        return replace(results.FrameResult.of(number, extraction, uids, result, pinned), prints=prints, memory=memory)
 
     def _exposed(self, shot: Shot, extraction: Extraction, number: int) -> Generator[None, None, list[Records]]:
         """Keys of what the frame needs at other moments of its exposure, a part for each."""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from ....core.arrays import F32, F64, I64, U8
     from ....core.culling.result import CullingResult
+    from ....core.files.memory_table import MemoryRow
     from ...extract import Extraction
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
@@ -46,7 +47,7 @@ class FrameResult:
     state: (N,) uint8; score: (N,) float32; hits: (N, RAY_TYPES) int64; bounds: (N, 2, 3), regions: (H, 2, 3) float32
     boxes, `origin` (3,) float64 to be added. stats: figures as in report.json. warnings: lines for the user. Of objects
     that instance by geometry nodes, by their uids: scatters, (R, 3) float32, where their rows are, in their own space;
-    prints: digests of what the viewport showed of them.
+    prints: digests of what the viewport showed of them. memory: who takes the memory of a render, as of memory.csv.
     """
 
     frame: int
@@ -62,6 +63,7 @@ class FrameResult:
     warnings: tuple[str, ...]
     scatters: dict[int, F32] = field(default_factory=dict)
     prints: dict[int, bytes] = field(default_factory=dict)
+    memory: tuple[MemoryRow, ...] = ()
     _reasons: dict[str, Reason] = field(default_factory=dict)
 
     @staticmethod
@@ -89,6 +91,11 @@ class FrameResult:
     def culled(self) -> NDArray[np.bool_]:
         """(N,) bool: the instances that go."""
         return np.asarray(self.state == CULLED)
+
+    def find(self, name: str) -> bpy.types.Object | None:
+        """The object that had a full name in the analysis; None where it is gone."""
+        uid = dict(zip(self.keys.names, self.uids.tolist(), strict=True)).get(name, -1)
+        return next((ob for ob in bpy.data.objects if ob.session_uid == uid), None)
 
     def current_keys(self) -> Keys:
         """The keys with the names that the objects have now; deleted ones get a name that none has."""
