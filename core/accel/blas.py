@@ -20,7 +20,8 @@ RUN, RUNS = 8, 64  # triangles that were neighbours when a BLAS was built, and h
 # times as long
 REBUILD_SAH_RATIO = 4.0
 CHECK_INTERVAL = 8  # refits from one check to the next: checking takes as long as refitting a small mesh
-# of Embree 4.4's compact structure, within a third over meshes of 12 to 500,000 triangles
+# bytes of Embree 4.4's compact structure, per BLAS and per triangle: within a third of what is measured, over meshes
+# of 12 to 500,000 triangles
 BLAS_BYTES, TRIANGLE_BYTES = 1152, 36
 
 
@@ -29,7 +30,8 @@ class _Blas:
     """A loaded mesh with its Embree scene; `mesh` keeps the arrays alive that Embree and the kernels read. geometry: 0
     where it is never to be refitted.
 
-    runs: (R, RUN) triangles that were neighbours when it was built; spread: of them, then; refits: since then.
+    runs: (R, RUN) triangles that were neighbours when it was built; spread: of these runs, then (`_spread`); refits:
+    how many since then.
     """
 
     mesh: Mesh
@@ -84,7 +86,7 @@ class BlasCache:
         self.device = device or embree.shared_device()
         self._meshes = meshes
         self._built: dict[int, _Blas] = {}
-        # what another thread builds, with its number of triangles
+        # builds on another thread, each with its number of triangles
         self._coming: dict[int, tuple[Future[_Blas], int]] = {}
         self._stale: set[int] = set()  # built, or coming, from vertices of an earlier frame
         self._worker: ThreadPoolExecutor | None = None
@@ -113,7 +115,7 @@ class BlasCache:
 
     def advance(self, meshes: Sequence[Mesh], deformed: I32, replaced: I32) -> None:
         """Go on to the next frame's meshes: `core.scene.change.Change` says what deformed and replaced are. Nothing is
-        read or built; those beyond, which were parts of others, are freed."""
+        read or built; BLASes with an index beyond these meshes, which were parts of others, are freed."""
         self._meshes = meshes
         for index in [i for i in (*self._built, *self._coming) if i >= len(meshes)]:
             self._free(index)
@@ -209,20 +211,20 @@ class BlasCache:
         return _built(self.device, mesh, bool(self._deforms[index]), f"the BLAS of mesh {index}")
 
     def _refit(self, index: int) -> float:
-        """Bring a built BLAS to the mesh's present vertices; build it anew where it is not made for refitting, has
-        other triangles, or is torn: its tree has little to do with the mesh any more. Returns seconds."""
+        """Bring a built BLAS to the mesh's present vertices; build it anew where it was not built for refitting, has
+        other triangles, or its tree has degraded (REBUILD_SAH_RATIO). Returns seconds."""
         start = time.perf_counter()
         blas, source = self._built[index], self._meshes[index]
         same = source.positions.shape == blas.mesh.positions.shape and np.array_equal(
             source.triangles, blas.mesh.triangles
         )
         blas.refits += 1
-        torn = (
+        degraded = (
             same
             and blas.refits % CHECK_INTERVAL == 0
             and _spread(source, blas.runs) > REBUILD_SAH_RATIO * blas.spread > 0
         )
-        if torn or not (same and blas.geometry):
+        if degraded or not (same and blas.geometry):
             self._free(index)
             self._install(index, self._build(index, loaded(source)))
         else:

@@ -4,9 +4,9 @@ The tree is implicit: instances in extended Morton order, nodes of level l are r
 loops over instances; bounds of every level are reductions over the level below. The cut holds, for every culled
 instance, exactly one node that contains it and nothing active.
 
-Over frames the tree stays: boxes follow what moves, and the order is made anew where it has decayed. A region that
-paths ask for is split; one whose parts they do not ask for any more is closed again. One that is asked for soon after
-that stays open for a while, twice as long each time, so that none opens and closes forever.
+Over frames the tree stays: boxes follow what moves, and the order is made anew where it has degraded. A region that
+paths ask for is split; one whose parts they do not ask for any more is merged again. One that is split again soon after
+that stays split for a while, twice as long each time (exponential backoff), so that none splits and merges forever.
 """
 
 from __future__ import annotations
@@ -77,10 +77,11 @@ class Regions:
             self._bounds.append(enclosing(self._bounds[-1], FANOUT))
             self._extent.append(np.maximum.reduceat(self._extent[-1], np.arange(0, len(self._extent[-1]), FANOUT)))
         self.split = [np.zeros(len(level), bool) for level in self._bounds]
-        # By level, of each node: frame of its last closing, frame until which it stays open, and how often it was split
-        # again soon after.
-        self._closed, self._stays = ([np.zeros(len(level), np.int32) for level in self._bounds] for _ in range(2))
-        self._vain = [np.zeros(len(level), np.uint8) for level in self._bounds]
+        # By level, of each node: frame in which it was last merged, frame until which it stays split, and how often it
+        # was split again within RESPLIT_WINDOW of being merged.
+        self._merged_at = [np.zeros(len(level), np.int32) for level in self._bounds]
+        self._open_until = [np.zeros(len(level), np.int32) for level in self._bounds]
+        self._resplits = [np.zeros(len(level), np.uint8) for level in self._bounds]
         self._now: F32 | None = None  # boxes of the last frame, where some have moved; _bounds[0] spans the motion
         self._moving = np.zeros(0, np.int64)  # places that moved in the last frame
         self._surface = _surface_of(self._bounds)
@@ -93,7 +94,7 @@ class Regions:
 
     @property
     def decayed(self) -> bool:
-        """Whether things have moved so far that a new order is worth its cost."""
+        """Whether things have moved so far that a new Morton order is worth its cost (REBUILD_SAH_RATIO)."""
         return _surface_of(self._bounds) > REBUILD_SAH_RATIO * self._surface
 
     def move(self, rows: np.ndarray, bounds: F32) -> None:
@@ -129,9 +130,9 @@ class Regions:
         known, old = np.flatnonzero(old >= 0), old[old >= 0]
         for mine, theirs in (
             (self.split, new.split),
-            (self._closed, new._closed),
-            (self._stays, new._stays),
-            (self._vain, new._vain),
+            (self._merged_at, new._merged_at),
+            (self._open_until, new._open_until),
+            (self._resplits, new._resplits),
         ):
             for level in range(min(self.levels, new.levels)):
                 run = FANOUT**level
@@ -182,7 +183,7 @@ class Regions:
         return Cut(np.concatenate(levels[::-1]), np.concatenate(indices[::-1]), np.concatenate(bounds[::-1]))
 
     def close(self, active: np.ndarray, cut: Cut, crossings: I64) -> None:
-        """Take back the splits whose parts paths do not ask for: crossings (H,) of all the boxes of a cut around active
+        """Merge regions again whose parts paths do not ask for: crossings (H,) of all the boxes of a cut around active
         (indices)."""
         occupied = self._occupied(active)
         leaves = cut.level == 0
@@ -198,22 +199,23 @@ class Regions:
             open_below[occupied[level]] = True
             here = cut.level == level
             sums[cut.index[here]] = crossings[here]
-            closed = self.split[level] & ~open_below & (self._stays[level] <= self._frame) & (sums < MERGE_BELOW)
+            closed = self.split[level] & ~open_below & (self._open_until[level] <= self._frame) & (sums < MERGE_BELOW)
             self.split[level] &= ~closed
-            self._closed[level][closed] = self._frame
+            self._merged_at[level][closed] = self._frame
             open_below |= self.split[level]
 
     def split_nodes(self, cut: Cut, rows: np.ndarray, wanted: np.ndarray) -> None:
         """Open nodes of a cut (rows into it) deep enough for wanted (one per row) boxes to stand in for each; single
         instances are passed over.
 
-        Those that were closed just now are opened by one level only: paths do not want what they did not want before.
+        Those that were merged just now are opened by one level only: what paths did not ask for before, they hardly do
+        now.
         """
         depth = np.log2(np.maximum(wanted, 1)) / np.log2(FANOUT)
         for level in range(1, self.levels):
             chosen = cut.level[rows] == level
             nodes, below = cut.index[rows[chosen]], depth[chosen]
-            below[self._in_vain(level, nodes)] = 0
+            below[self._reopened(level, nodes)] = 0
             for deeper in range(level, 0, -1):
                 self.split[deeper][nodes] = True
                 more = below > level - deeper + 1
@@ -222,18 +224,19 @@ class Regions:
                 inside = nodes < len(self.split[deeper - 1])
                 nodes, below = nodes[inside], below[inside]
 
-    def _in_vain(self, level: int, nodes: np.ndarray) -> np.ndarray:
-        """Which nodes that paths ask for were closed just now, (K,) bool: those are to stay open for a while."""
-        vain = self._closed[level][nodes] > self._frame - RESPLIT_WINDOW
-        again = nodes[vain]
-        self._stays[level][again] = self._frame + (MIN_OPEN << self._vain[level][again].astype(np.int32))
-        self._vain[level][again] = np.minimum(self._vain[level][again] + 1, _MAX_DOUBLINGS)
-        return vain
+    def _reopened(self, level: int, nodes: np.ndarray) -> np.ndarray:
+        """Which of the nodes that paths ask for were merged just now, (K,) bool; these then stay open for a while
+        (re-split backoff)."""
+        recent = self._merged_at[level][nodes] > self._frame - RESPLIT_WINDOW
+        again = nodes[recent]
+        self._open_until[level][again] = self._frame + (MIN_OPEN << self._resplits[level][again].astype(np.int32))
+        self._resplits[level][again] = np.minimum(self._resplits[level][again] + 1, _MAX_DOUBLINGS)
+        return recent
 
     def instances_of(self, cut: Cut, rows: np.ndarray) -> I32:
         """Instances of those rows of a cut that are single instances, to be activated."""
         places = cut.index[rows[cut.level[rows] == 0]]
-        self._in_vain(0, places)
+        self._reopened(0, places)
         return self.order[places]
 
     def in_view(self, view: View, share: float) -> I32:
@@ -251,8 +254,8 @@ class Regions:
         """Of active instances (indices) that no path met: those to be culled. The others were culled not long ago, and
         asked for again."""
         places = self.place[instances]
-        free = self._stays[0][places] <= self._frame
-        self._closed[0][places[free]] = self._frame
+        free = self._open_until[0][places] <= self._frame
+        self._merged_at[0][places[free]] = self._frame
         return instances[free]
 
 

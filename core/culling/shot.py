@@ -14,6 +14,7 @@ from ..scene.model import RayType, Scene
 from .analysis import decide
 from .loop import Loop
 from .options import CullOptions
+from .policies import LIGHT_PATHS
 from .result import CullingResult
 
 
@@ -83,7 +84,7 @@ class Shot:
         limited, there may be nothing to trace."""
         limited = self.options.blas_budget_bytes or self.options.blas_budget_ms
         return (
-            self.options.policy == "light-paths" and not self.options.by_counts and not scene.first_hits and not limited
+            self.options.policy == LIGHT_PATHS and not self.options.by_counts and not scene.first_hits and not limited
         )
 
     def _carried(self, blas: BlasCache, scene: Scene, change: Change) -> BlasCache:

@@ -62,13 +62,7 @@ _ALPHA_CHANNEL, _TRANSMISSION_CHANNEL = offset(MATERIAL, "alpha_channel"), offse
 _RAYS, _PARTS, M_UNSURE = offset(MATERIAL, "rays"), offset(MATERIAL, "parts"), offset(MATERIAL, "unsure")
 _PRINCIPLED, _TRANSPARENT = np.uint32(Shader.PRINCIPLED), np.uint32(Shader.TRANSPARENT)
 _MIX, _BY_RAY = np.uint32(Shader.MIX), np.uint32(Shader.BY_RAY)
-_ZERO, _ONE, _HALF, _TWO, _THIRD = (
-    np.float32(0.0),
-    np.float32(1.0),
-    np.float32(0.5),
-    np.float32(2.0),
-    np.float32(1.0 / 3.0),
-)
+_ZERO, _ONE, _HALF, _TWO, _THIRD = map(np.float32, (0.0, 1.0, 0.5, 2.0, 1.0 / 3.0))
 
 
 @njit(**INNER)

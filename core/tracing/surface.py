@@ -27,13 +27,7 @@ SURF = 8
 _MESH_SIZE = np.uint64(MESH.itemsize)
 _POSITIONS, _TRIANGLES, _NORMALS = offset(MESH, "positions"), offset(MESH, "triangles"), offset(MESH, "normals")
 _UVS, MESH_SLOTS, _COUNT = offset(MESH, "uvs"), offset(MESH, "slots"), offset(MESH, "triangle_count")
-_ZERO, _ONE, _HALF, _TWO, _THIRD = (
-    np.float32(0.0),
-    np.float32(1.0),
-    np.float32(0.5),
-    np.float32(2.0),
-    np.float32(1.0 / 3.0),
-)
+_ZERO, _ONE, _HALF, _TWO, _THIRD = map(np.float32, (0.0, 1.0, 0.5, 2.0, 1.0 / 3.0))
 # Error bounds of `interpolate`, in units of float32's rounding
 _TRANSFORM, _TRIANGLE, _POSITION, _SLIVER = 12 * 2.0**-24, 4 * 2.0**-24, 2 * 2.0**-24, 2.0**10
 _BITS = np.float32(2.0**31)
