@@ -97,10 +97,7 @@ class Stage:
         render, cycles = self.scene.render, self.scene.cycles
         render.engine, render.resolution_x, render.resolution_y, render.resolution_percentage = "CYCLES", *SIZE, 100
         cycles.samples, cycles.use_denoising, cycles.use_adaptive_sampling, cycles.max_bounces = (
-            64,
-            False,
-            False,
-            bounces,
+            64, False, False, bounces
         )
         cycles.sampling_pattern = "TABULATED_SOBOL"  # blue noise would tie neighbouring pixels together
         self.scene.view_settings.view_transform = "Standard"

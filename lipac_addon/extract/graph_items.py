@@ -84,11 +84,7 @@ def full_name(data: Any) -> str:
 def ray_visibility(item: Any) -> int:
     """Bits per RayType of an object's ray visibility."""
     flags = (
-        item.visible_camera,
-        item.visible_diffuse,
-        item.visible_glossy,
-        item.visible_transmission,
-        item.visible_shadow,
+        item.visible_camera, item.visible_diffuse, item.visible_glossy, item.visible_transmission, item.visible_shadow
     )
     return sum(1 << bit for bit, on in enumerate(flags) if on)
 

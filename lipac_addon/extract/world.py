@@ -251,9 +251,7 @@ def bake(world: Any, height: int, samples: int, through: bool = False) -> F32:
     ):
         scene.render.engine = "CYCLES"
         scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = (
-            2 * height,
-            height,
-            100,
+            2 * height, height, 100
         )
         scene.render.use_compositing = scene.render.use_sequencer = False
         scene.render.film_transparent = False

@@ -500,11 +500,8 @@ def materials(choose: Seeded, scene: bpy.types.Scene, folder: Path) -> None:
             nodes.clear()
         elif kind == "other":
             names = (
-                "ShaderNodeBsdfHairPrincipled",
-                "ShaderNodeBsdfToon",
-                "ShaderNodeBsdfSheen",
-                "ShaderNodeSubsurfaceScattering",
-                "ShaderNodeBsdfGlass",
+                "ShaderNodeBsdfHairPrincipled", "ShaderNodeBsdfToon", "ShaderNodeBsdfSheen",
+                "ShaderNodeSubsurfaceScattering", "ShaderNodeBsdfGlass"
             )
             links.new(nodes.new(choose.one(names)).outputs[0], output.inputs[0])
         else:

@@ -154,11 +154,8 @@ def _scatter(choose: Seeded, host: Any, source: Any) -> None:
     start, end, points, info, instances = (
         new(f"{name}")
         for name in (
-            "NodeGroupInput",
-            "NodeGroupOutput",
-            "GeometryNodeMeshToPoints",
-            "GeometryNodeObjectInfo",
-            "GeometryNodeInstanceOnPoints",
+            "NodeGroupInput", "NodeGroupOutput", "GeometryNodeMeshToPoints", "GeometryNodeObjectInfo",
+            "GeometryNodeInstanceOnPoints"
         )
     )
     info.inputs["Object"].default_value = source

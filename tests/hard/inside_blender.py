@@ -51,10 +51,7 @@ def stage(offset: tuple[float, float, float] = (0.0, 0.0, 0.0), scale: float = 1
     scene.world = bpy.data.worlds.new("world")
     settings = scene.render
     settings.engine, settings.resolution_x, settings.resolution_y, settings.resolution_percentage = (
-        "CYCLES",
-        64,
-        36,
-        100,
+        "CYCLES", 64, 36, 100
     )
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 4, False, False
     return scene

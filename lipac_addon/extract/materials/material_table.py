@@ -27,10 +27,7 @@ from .textures import TextureTable
 from .trees import Composed, Tree, black, clear, heads, key_of, leaves, mixed, unsure
 
 LIGHT_LOOP = {
-    "ShaderNodeLightAccumulation",
-    "ShaderNodeLightEvaluation",
-    "ShaderNodeLightInfo",
-    "ShaderNodeShadowRaycast",
+    "ShaderNodeLightAccumulation", "ShaderNodeLightEvaluation", "ShaderNodeLightInfo", "ShaderNodeShadowRaycast"
 }
 
 

@@ -54,11 +54,8 @@ def test_what_kernels_do_not_use_is_no_source_of_theirs() -> None:
     core = Path(lipac.core.__file__).parent
     names = {path.relative_to(core).as_posix() for path in kernel_cache.kernel_sources(core)}
     kernels = {
-        "tracing/path_kernel.py",
-        "tracing/bsdf/sample.py",
-        "tracing/lights/light_tree.py",
-        "accel/hitboxes.py",
-        "jit/sampling.py",
+        "tracing/path_kernel.py", "tracing/bsdf/sample.py", "tracing/lights/light_tree.py", "accel/hitboxes.py",
+        "jit/sampling.py"
     }
     # these have no kernel, but constants of kernels
     assert kernels | {"feedback/hits.py", "scene/model.py", "scene/mesh.py"} <= names

@@ -57,11 +57,8 @@ def test_what_the_worker_compiled_is_loaded_and_nothing_is_compiled_again(
     assert worker.wait() == 0
     names = {path.name.split("-")[0] for path in tmp_path.rglob("*.nbi")}
     done = {
-        "setup.bsdf_setup",
-        "sample.bsdf_sample",
-        "evaluate.bsdf_eval",
-        "direct_light.add_direct_light",
-        "light_sampling.sample_light",
+        "setup.bsdf_setup", "sample.bsdf_sample", "evaluate.bsdf_eval", "direct_light.add_direct_light",
+        "light_sampling.sample_light"
     }
     assert done <= names
 

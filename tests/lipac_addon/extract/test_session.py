@@ -153,10 +153,7 @@ def test_supplied_animations(shared: Path, name: str, keep: bool) -> None:
     row = follow((1, 2, 2), keep=keep)
     change = row[2].change
     assert change is not None and (change.previous, change.moved, change.camera, change.shading) == (
-        None,
-        None,
-        False,
-        False,
+        None, None, False, False
     )
 
 

@@ -38,9 +38,7 @@ def exposed() -> Any:
     add("cube", cube())
     scene.frame_set(5)
     scene.render.use_motion_blur, scene.render.motion_blur_shutter, scene.render.motion_blur_position = (
-        True,
-        1.0,
-        "CENTER",
+        True, 1.0, "CENTER"
     )
     return scene
 

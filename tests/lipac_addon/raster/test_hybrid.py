@@ -53,10 +53,7 @@ def scene_file(tmp_path_factory):
     scene.world.use_nodes = True
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.3, 0.3, 0.3, 1)
     scene.render.engine, scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = (
-        "CYCLES",
-        64,
-        36,
-        100,
+        "CYCLES", 64, 36, 100
     )
     scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = False, False
     path = tmp_path_factory.mktemp("scene") / "slab.blend"

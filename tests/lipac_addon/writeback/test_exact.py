@@ -259,10 +259,7 @@ def pictures(folder: Path, engine: str, blurs: tuple[bool, ...] = (False, True))
     scene, layer = bpy.context.scene, bpy.context.view_layer
     scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = engine, 64, 36
     scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = (
-        4,
-        1,
-        False,
-        False,
+        4, 1, False, False
     )
     scene.eevee.taa_render_samples = 1
     for name in (*PASSES, *(f"cryptomatte_{kind}" for kind in CRYPTOMATTES)):

@@ -274,10 +274,7 @@ def picture(path, engine="CYCLES"):
     scene = bpy.context.scene
     scene.render.engine = engine
     scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = (
-        4,
-        1,
-        False,
-        False,
+        4, 1, False, False
     )
     scene.eevee.taa_render_samples = 1
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"

@@ -34,11 +34,7 @@ def lamp(kind: s.LightKind, **fields: object) -> s.Records:
     light["axis_x"], light["axis_y"], light["axis_z"] = TURN.T
     light["size"], light["spread"], light["spot_size"], light["spot_blend"] = (1.5, 0.7), np.pi, 1.2, 0.3
     light["visibility"], light["cast_shadow"], light["normalize"], light["use_mis"], light["max_bounces"] = (
-        s.ALL_RAYS,
-        1,
-        1,
-        1,
-        1024,
+        s.ALL_RAYS, 1, 1, 1, 1024
     )
     for name, value in fields.items():
         light[name] = value

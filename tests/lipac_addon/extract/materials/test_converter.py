@@ -351,10 +351,7 @@ def test_a_volume_alone_lets_light_pass() -> None:
     t.tree.links.new(t.new("ShaderNodeVolumeScatter").outputs[0], t.output.inputs["Volume"])
     (head, clear, scatters), _, lines = t.parts(None)
     assert (head["alpha"], clear["shader"], scatters["shader"], clear["unsure"]) == (
-        0.5,
-        Shader.TRANSPARENT,
-        Shader.TRANSLUCENT,
-        1,
+        0.5, Shader.TRANSPARENT, Shader.TRANSLUCENT, 1
     )
     assert lines == ["material m: volume not rendered"]
     (record,), _, lines = t.parts(t.new("ShaderNodeBsdfDiffuse"))
