@@ -79,16 +79,8 @@ def download(platform: str, pythons: Iterable[str], folder: Path) -> list[Path]:
                 f"--abi=cp{python}",
             ]
             command = [
-                sys.executable,
-                "-m",
-                "pip",
-                "download",
-                "-q",
-                "--disable-pip-version-check",
-                *only,
-                *names,
-                "-d",
-                str(place),
+                sys.executable, "-m", "pip", "download", "-q", "--disable-pip-version-check", *only, *names, "-d",
+                str(place)
             ]
             subprocess.run([*command, *(f"{name}=={version}" for name, version in wanted.items())], check=True)
         found += [next(place.glob(f"{name}-{version}-*.whl")) for name, version in wanted.items()]

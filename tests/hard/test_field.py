@@ -40,15 +40,8 @@ def test_points_alone_are_nothing_for_the_path_tracer(tmp_path: Path, capfd: pyt
     assert (
         main(
             [
-                "render",
-                str(field.FIELD / "points_only.blend"),
-                "-o",
-                str(tmp_path),
-                "--engine",
-                "path",
-                "--resolution",
-                "16x9",
-                "--quiet",
+                "render", str(field.FIELD / "points_only.blend"), "-o", str(tmp_path), "--engine", "path",
+                "--resolution", "16x9", "--quiet"
             ]
         )
         == 2

@@ -198,16 +198,8 @@ def test_camera_auto_and_import(tmp_path):
     assert (
         main(
             [
-                "render",
-                str(tmp_path / "t.obj"),
-                "-o",
-                str(tmp_path),
-                "--cull",
-                "none",
-                "--camera",
-                "auto",
-                "--quiet",
-                *SMALL,
+                "render", str(tmp_path / "t.obj"), "-o", str(tmp_path), "--cull", "none", "--camera", "auto", "--quiet",
+                *SMALL
             ]
         )
         == 0
@@ -351,16 +343,7 @@ def test_our_own_errors_show_no_traceback(blend, tmp_path, monkeypatch, capfd):
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_ctrl_c_keeps_finished_frames(blend, tmp_path):
     arguments = [
-        "render",
-        str(blend),
-        "-o",
-        str(tmp_path),
-        "--frames",
-        "1-5000",
-        "--cull",
-        "frustum",
-        "--quiet",
-        *SMALL,
+        "render", str(blend), "-o", str(tmp_path), "--frames", "1-5000", "--cull", "frustum", "--quiet", *SMALL
     ]
     process = subprocess.Popen(
         [sys.executable, "-m", "lipac.scripts.lipac", *arguments], stdout=PIPE, stderr=PIPE, text=True, **INTERRUPTIBLE

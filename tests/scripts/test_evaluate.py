@@ -25,17 +25,8 @@ def test_evaluate_end_to_end(
     assert lipac.main(["demo", "mirror-city", "-o", str(scene), "--instances", "1000", "--quiet"]) == 0
     capfd.readouterr()
     command = [
-        "evaluate",
-        str(scene),
-        "-o",
-        str(out),
-        "--resolution",
-        "64x36",
-        "--samples",
-        "2",
-        "--budget-check",
-        "1",
-        "--ray-budget",
+        "evaluate", str(scene), "-o", str(out), "--resolution", "64x36", "--samples", "2", "--budget-check", "1",
+        "--ray-budget"
     ]
     assert lipac.main(command) == 0
     shown = capfd.readouterr()

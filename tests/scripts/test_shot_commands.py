@@ -142,17 +142,8 @@ def test_save_a_baked_copy(blend, tmp_path):
     assert (
         main(
             [
-                "analyze",
-                str(blend),
-                "-o",
-                str(tmp_path),
-                "--frames",
-                "1-2",
-                "--bake",
-                "shot",
-                "--save",
-                str(baked),
-                *SMALL[2:],
+                "analyze", str(blend), "-o", str(tmp_path), "--frames", "1-2", "--bake", "shot", "--save", str(baked),
+                *SMALL[2:]
             ]
         )
         == 0

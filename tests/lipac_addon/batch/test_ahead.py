@@ -36,17 +36,8 @@ def entries(folder):
 
 def test_states_and_pictures_are_those_of_one_after_the_other(file, tmp_path):
     common = [
-        "render",
-        str(file),
-        "--frames",
-        "1-3",
-        "--max-error",
-        "0.05",
-        "--resolution",
-        "48x27",
-        "--seed",
-        "3",
-        "--quiet",
+        "render", str(file), "--frames", "1-3", "--max-error", "0.05", "--resolution", "48x27", "--seed", "3",
+        "--quiet"
     ]
     assert main([*common, "-o", str(tmp_path / "a"), "--no-ahead"]) == 0
     assert main([*common, "-o", str(tmp_path / "b"), "--ahead"]) == 0

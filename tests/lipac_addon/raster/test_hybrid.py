@@ -130,17 +130,8 @@ def test_sequence(ride_file, tmp_path):
     names."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     command = [
-        "render",
-        str(ride_file),
-        *FAST,
-        "--raster-samples",
-        "1",
-        "--samples",
-        "8",
-        "--cull",
-        "distance",
-        "--distance",
-        "7.2",
+        "render", str(ride_file), *FAST, "--raster-samples", "1", "--samples", "8", "--cull", "distance", "--distance",
+        "7.2"
     ]
     assert main([*command, "-o", str(whole), "--frames", "1-2"]) == 0
     assert main([*command, "-o", str(parts), "--frames", "2"]) == 0
@@ -388,19 +379,8 @@ def test_modes_cull(scene_file, tmp_path, mode):
     frames = {}
     for gi in ("path", mode):
         command = [
-            "render",
-            str(scene_file),
-            "-o",
-            str(tmp_path / gi),
-            *FAST,
-            "--samples",
-            "4",
-            "--primary",
-            "traced",
-            "--max-error",
-            "0.05",
-            "--gi",
-            gi,
+            "render", str(scene_file), "-o", str(tmp_path / gi), *FAST, "--samples", "4", "--primary", "traced",
+            "--max-error", "0.05", "--gi", gi
         ]
         assert main(command) == 0
         frames[gi] = json.loads((tmp_path / gi / "report.json").read_text())["frames"][0]
@@ -412,18 +392,8 @@ def test_modes_cull(scene_file, tmp_path, mode):
 def test_frames_follow_each_other(scene_file, tmp_path):
     """With --warm the second frame begins with what the first one needed: one round, nothing built."""
     command = [
-        "render",
-        str(scene_file),
-        "-o",
-        str(tmp_path),
-        *FAST,
-        "--samples",
-        "2",
-        "--primary",
-        "traced",
-        "--frames",
-        "1-2",
-        "--warm",
+        "render", str(scene_file), "-o", str(tmp_path), *FAST, "--samples", "2", "--primary", "traced", "--frames",
+        "1-2", "--warm"
     ]
     assert main(command) == 0
     first, second = json.loads((tmp_path / "report.json").read_text())["frames"]
@@ -447,18 +417,8 @@ def test_no_opengl(boxes_file, tmp_path):
     """One line says what to install, and what works without."""
     blind = {**os.environ, "__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path)}
     base = [
-        sys.executable,
-        "-m",
-        "lipac.scripts.lipac",
-        "render",
-        str(boxes_file),
-        *SMALL,
-        "--engine",
-        "hybrid",
-        "--samples",
-        "2",
-        "--cull",
-        "none",
+        sys.executable, "-m", "lipac.scripts.lipac", "render", str(boxes_file), *SMALL, "--engine", "hybrid",
+        "--samples", "2", "--cull", "none"
     ]
     if sys.platform != "linux":
         pytest.skip("OpenGL is always there")

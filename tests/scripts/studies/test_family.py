@@ -93,18 +93,8 @@ def test_time_is_kept(tmp_path: Path, fake: None, monkeypatch: pytest.MonkeyPatc
     assert (
         lipac.main(
             [
-                "evaluate",
-                "--family",
-                "90",
-                "--first",
-                "10",
-                "-o",
-                str(tmp_path),
-                "--jobs",
-                "1",
-                "--stop-after",
-                "45",
-                "--quiet",
+                "evaluate", "--family", "90", "--first", "10", "-o", str(tmp_path), "--jobs", "1", "--stop-after", "45",
+                "--quiet"
             ]
         )
         == 0

@@ -207,18 +207,8 @@ def test_by_the_command(asking, tmp_path, capfd):
     assert (
         main(
             [
-                "render",
-                str(path),
-                "-o",
-                str(out),
-                "--as-scene",
-                "--cull",
-                "distance",
-                "--distance",
-                "19.5",
-                "--frames",
-                "4",
-                "--quiet",
+                "render", str(path), "-o", str(out), "--as-scene", "--cull", "distance", "--distance", "19.5",
+                "--frames", "4", "--quiet"
             ]
         )
         == 0

@@ -117,10 +117,7 @@ def test_a_shot_comes_back_within_a_render(scene, hidden, tmp_path):
     scene.lipac.use_for_renders = True
     results.put(scene, {})
     scene.frame_start, scene.frame_end, scene.render.filepath, scene.render.engine = (
-        1,
-        4,
-        str(tmp_path / "a"),
-        "BLENDER_WORKBENCH",
+        1, 4, str(tmp_path / "a"), "BLENDER_WORKBENCH"
     )
     found = {}
 
