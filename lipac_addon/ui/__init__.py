@@ -7,7 +7,7 @@ Modules by layers, each importing from those above it alone:
 - What is known: `results` (what analyses found, plain arrays), `props` (what the user set), `scatters`, `boxes` (laid
   out to be drawn), `figures` and `verdict` (in words).
 - What is done: `applying` (write-back), `job` (the one that runs), `analysis` and `difference` (jobs), `viewport`,
-  `viewport_switches`, `viewport_culling` and `live` (beside the user's work).
+  `viewport_switches`, `foresight`, `viewport_culling` and `live` (beside the user's work).
 - What Blender calls: `overlay`, `modal` and `operators`, `handlers`, `overview` and `panel`, `manual`; all are added
   and taken away by `registration`.
 
