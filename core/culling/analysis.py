@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from ..accel.tlas import Tlas
 from ..arrays import F64, I32
 from ..error_budget.budget import Budget, Savings
 from ..error_budget.error_estimate import CONFIDENCE, Reference
-from ..error_budget.search import DENSER, TRIALS, Choice, Search
+from ..error_budget.search import DENSER, TRIALS, WORTH_WHILE, Choice, Search, gain
 from ..error_budget.trial import Trial
 from ..error_budget.units import Units, units_of
 from ..feedback.path_log import PathLog
@@ -113,15 +114,15 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     attempts = 1 if loop.limited else ATTEMPTS
     for attempt in range(attempts):
         within = part(progress, attempt / attempts, (attempt + 1) / attempts)
-        measured, units, steps, searched = _searched(loop, measured, budget, part(within, 0.0, 0.5))
-        ids = measured.tlas.ids
+        measured, search, steps, searched = _searched(loop, measured, budget, part(within, 0.0, 0.5))
+        ids, units = measured.tlas.ids, search.units
 
         def keep_of(cull: np.ndarray, units: Units = units, ids: I32 = ids) -> np.ndarray:
             return _kept(loop, units, cull, ids)
 
         sets = [step.cull for step in steps if loop.limited or step.cull.any()]
         verdict = Certificate(loop, measured.next_sample, measured.samples, budget).walk(
-            sets, units, keep_of, part(within, 0.5, 0.9)
+            sets, units, keep_of, partial(gain, units, search.savings), part(within, 0.5, 0.9)
         )
         fruitless = verdict.cull is None or (attempt == 0 and len(sets) > 0 and not verdict.cull.any())
         if not fruitless or attempt == attempts - 1:
@@ -175,21 +176,21 @@ def _decided(
 
 def _searched(
     loop: Loop, measured: Measurement, budget: Budget, progress: Progress
-) -> tuple[Measurement, Units, list[Choice], int]:
-    """Units of what was measured and of what was not met, sets of them that keep to the budget by the paths of the
+) -> tuple[Measurement, Search, list[Choice], int]:
+    """What was measured last; the search among its units, sets of them that keep to the budget by the paths of the
     measurement, and how many were traced.
 
-    Where noise alone stands between a set and the budget, all is measured by more paths in the tiles in question, and
-    the search begins anew.
+    Where noise alone stands between the budget and a set that is worth while, all is measured by more paths in the
+    tiles in question, and the search begins anew.
     """
     traced, first, times = 0, float(measured.samples.sum()), 0
     last = loop.limited  # no more paths are to be had: the search goes on in spite of doubts
     while True:
-        units, search = _search(loop, measured, budget)
+        search = _search(loop, measured, budget)
         steps = search.run(part(progress, 1 - 0.5**times, 1 - 0.5 ** (times + 1)), TRIALS if last else DOUBTS)
         traced += search.traced
-        if last or not search.doubted.any():
-            return measured, units, steps, traced
+        if last or search.promise < WORTH_WHILE:
+            return measured, search, steps, traced
         samples = measured.samples
         more = np.where(search.doubted, np.minimum((DENSER - 1) * samples, STEEPEST * samples.min()), 0)
         more = (more * min(((1 + MORE) * first - samples.sum()) / more.sum(), 1.0)).astype(np.int64)
@@ -199,8 +200,8 @@ def _searched(
             measured = loop.measure_denser(measured, more)
 
 
-def _search(loop: Loop, measured: Measurement, budget: Budget) -> tuple[Units, Search]:
-    """The units of a measurement, and a search among them."""
+def _search(loop: Loop, measured: Measurement, budget: Budget) -> Search:
+    """A search among the units of a measurement."""
     ids = measured.tlas.ids
     with loop.timer.step("feedback_s"):
         worth = measured.worth
@@ -228,7 +229,7 @@ def _search(loop: Loop, measured: Measurement, budget: Budget) -> tuple[Units, S
 
     light = _light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64))
     trials = [trial(traced, None if k else light) for k, traced in enumerate(measured.traced)]
-    return units, Search(trials, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
+    return Search(trials, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
 
 
 def _kept(loop: Loop, units: Units, cull: np.ndarray, ids: I32) -> np.ndarray:

@@ -11,7 +11,7 @@ goes on for the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..accel.tlas import Tlas
 from ..arrays import F64, I64
 from ..error_budget.budget import Budget
 from ..error_budget.error_estimate import CONFIDENCE, NOTHING, ErrorEstimate, Light, Reference
-from ..error_budget.search import pieces
+from ..error_budget.search import WORTH_WHILE, pieces
 from ..error_budget.trial import Trial
 from ..error_budget.units import Units
 from ..feedback.path_log import PathLog
@@ -85,12 +85,15 @@ class Certificate:
 
     def walk(
         self,
-        sets: Iterable[np.ndarray],
+        sets: Sequence[np.ndarray],
         units: Units,
         keep_of: Callable[[np.ndarray], np.ndarray],
+        gain: Callable[[np.ndarray, np.ndarray], float] = lambda _cull, _more: 1.0,
         progress: Progress = silent,
     ) -> Verdict:
         """Judge sets of units, (U,) bool, each a part of the next. keep_of: the instances that a set leaves, (N,) bool.
+        gain: what a larger set gains on another, as of `error_budget.search`: where the last one gains little on what
+        is certified, doubts about a set are not looked into.
 
         Raises Cancelled.
         """
@@ -108,9 +111,10 @@ class Certificate:
                 if accepted is not None and not new.any():
                     break
                 whole = before | new
+                doubts = not before.any() or gain(before, sets[-1]) >= WORTH_WHILE
                 for proposed in (whole, *pieces(before, whole, units)):
                     keep = keep_of(proposed)
-                    estimate = self.judge(keep, within)
+                    estimate = self.judge(keep, within, doubts)
                     holds = estimate.surely_holds(self.budget, self.each)
                     if holds:
                         self._accept()
@@ -147,13 +151,11 @@ class Certificate:
     def _light(self) -> Light:
         return Light.of(*(layer.reference for layer in self._layers))
 
-    def judge(self, keep: np.ndarray, progress: Progress = silent) -> ErrorEstimate:
-        """The change by a set, (N,) bool of what stays, with as many looks as it takes to be sure, or that there are
-        left."""
-        if (
-            keep & ~self._held
-            # the first set, or a part of one that broke the budget: less of the scene would be left to build
-        ).any():
+    def judge(self, keep: np.ndarray, progress: Progress = silent, doubts: bool = True) -> ErrorEstimate:
+        """The change by a set, (N,) bool of what stays; doubts: with as many looks as it takes to be sure, or that
+        there are left."""
+        # the first set, or a part of one that broke the budget: less of the scene would be left to build
+        if (keep & ~self._held).any():
             self.loop.include(keep)
             self._held |= keep
             self._layers.clear()
@@ -162,7 +164,7 @@ class Certificate:
             self._add(self.samples, progress)
         tlas = self.loop.tracer.build(keep)
         estimate = self._estimate(keep, tlas)
-        while not estimate.surely_holds(self.budget, self.each) and self._look_again(estimate, progress):
+        while doubts and not estimate.surely_holds(self.budget, self.each) and self._look_again(estimate, progress):
             estimate = self._estimate(keep, tlas)
         return estimate
 

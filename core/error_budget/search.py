@@ -41,6 +41,8 @@ PIECES = 4  # that a step of a sequence is judged in, where it breaks the budget
 AIM = 0.95
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement
 DENSER = 4.0  # times the paths that may be traced in tiles where noise alone stands between a set and the budget
+# of the instances that stay, or of their bytes: what more paths are to let go, at the least, to be traced
+WORTH_WHILE = 0.02
 UNMET = (0.1, 0.3)  # of the budget: what may be owed to units that no path met, at the first sets of a sequence
 
 
@@ -80,6 +82,7 @@ class Search:
         self.traced = 0
         self._doubts = 0
         self.doubted = np.zeros(TILES, bool)  # tiles that more paths might show to hold a set that was given up
+        self.promise = 0.0  # the most that such a set would have gained
 
     def run(self, progress: Progress = silent, doubts: int = TRIALS) -> list[Choice]:
         """The sets found, each a part of the next. Beginning with what no path meets, more and more is culled: what is
@@ -177,6 +180,7 @@ class Search:
         if choice.estimate.may_hold(self.budget, self.confidence, np.full(TILES, DENSER)):
             self._doubts += 1
             self.doubted |= choice.estimate.doubtful(self.budget, self.confidence)
+            self.promise = max(self.promise, gain(self.units, self.savings, already.cull, cull))
         new[self.units.with_entries :] = False
         change, squares = (
             np.sum(x, axis=0)
@@ -186,6 +190,16 @@ class Search:
         )
         self.worth[new] = np.abs(change) + DEVIATIONS * np.sqrt(squares)
         return None
+
+
+def gain(units: Units, savings: Savings, cull: np.ndarray, more: np.ndarray) -> float:
+    """What goes with more, (U,) bool, of what stays with cull, a part of it: the larger share of the instances that
+    paths met and of the bytes."""
+    n, bytes_of = units.with_entries, units.saved(savings, ~cull)
+    stay, go = ~cull, more & ~cull
+    return max(
+        float(of[go[: len(of)]].sum() / max(of[stay[: len(of)]].sum(), 1)) for of in (units.members[:n], bytes_of)
+    )
 
 
 def pieces(before: np.ndarray, cull: np.ndarray, units: Units) -> list[np.ndarray]:

@@ -206,6 +206,31 @@ def test_it_stops_where_the_budget_may_break_and_goes_on_for_other_tiles(first: 
     assert verdict.estimate.surely_holds(Budget(0.05, 0.2))
 
 
+def test_a_doubt_is_looked_into_where_much_hangs_on_it() -> None:
+    """The same sets, of which the last gains much, or next to nothing, on what is certified already."""
+    cubes = [(1, scenes.placed((x, 2, 0.4), 0.4), 1) for x in (-3.0, -1.0, 1.0, 3.0)]
+    scene = scenes.build(
+        [scenes.quad(), scenes.cube()],
+        [(0, scenes.placed((0, 0, 0), 80.0), 0), *cubes],
+        [material(), material(base_color=0.02)],
+        CAMERA,
+        sun((1, 0, 1)),
+        size=SIZE,
+        limits=DIFFUSE,
+    )
+    n = len(scene.instances)
+    sets = [np.isin(np.arange(n), range(1, 1 + k)) for k in range(1, 5)]
+    change = max(np.abs(Judge(scene, 64).change(~cull).tiles).max() for cull in sets[1:2])
+    looks = []
+    for gained in (1.0, 0.0):
+        loop = Loop(scene, CullOptions(width=SIZE[0]))
+        loop.include(~sets[0])
+        certificate = Certificate(loop, 0, np.full(TILES, 2), Budget(1.0, 1.2 * float(change)))
+        certificate.walk(sets, Units.single(np.zeros((n, TILES))), lambda cull: ~cull, lambda *_: gained)  # noqa: B023
+        looks.append(certificate._looks)
+    assert looks[0] > looks[1]
+
+
 def test_where_builds_are_limited_what_is_left_out_counts() -> None:
     """Bytes for a part of the meadow only: the rest stays boxes, what paths carry through them is charged, and that is
     said."""

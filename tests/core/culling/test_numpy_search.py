@@ -82,7 +82,8 @@ def test_the_search_of_the_page_finds_the_same_sets(name: str, mean: float) -> N
     loop = Loop(scene, CullOptions(width=SIZE[0], paths=8))
     measured = loop.run()
     ids = measured.tlas.ids
-    units, ours = _search(loop, measured, Budget(mean, 5 * mean))
+    ours = _search(loop, measured, Budget(mean, 5 * mean))
+    units = ours.units
     steps = ours.run()
 
     (traced,) = measured.traced
@@ -111,7 +112,8 @@ def test_the_certificate_of_the_page_accepts_the_same_set(name: str, mean: float
     options, budget = CullOptions(width=SIZE[0], paths=8), Budget(mean, 5 * mean)
     loop = Loop(scene, options)
     measured = loop.run()
-    units, found = _search(loop, measured, budget)
+    found = _search(loop, measured, budget)
+    units = found.units
     sets = [step.cull for step in found.run() if step.cull.any()]
     ids = measured.tlas.ids
     walked = Certificate(loop, measured.next_sample, measured.samples, budget)

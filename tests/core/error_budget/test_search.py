@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from lipac.core.culling.measurement import Measurement
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget, Savings
 from lipac.core.error_budget.error_estimate import Light, Reference
-from lipac.core.error_budget.search import LIKELY, Search, pieces
+from lipac.core.error_budget.search import LIKELY, Search, gain, pieces
 from lipac.core.error_budget.trial import Trial
 from lipac.core.error_budget.units import Units
 from lipac.core.feedback.path_log import RECORD, PathLog
@@ -230,9 +231,24 @@ def test_sets_that_are_given_up_for_noise_are_doubted() -> None:
     noisy = world.search(worth, savings, Budget(1.0, change.worst + 0.5 * change.worst_deviation))
     noisy.run()
     assert noisy.doubted.any()
+    assert noisy.promise == 0.5  # one of the two would go
     hopeless = world.search(worth, savings, Budget(1.0, 0.05 * change.worst))
     hopeless.run()
     assert not hopeless.doubted.any()
+    assert hopeless.promise == 0
+
+
+def test_a_gain_is_of_what_stays() -> None:
+    """Four units, one of them 97 instances: by number, and by bytes where a mesh is large."""
+    members = np.array([97, 1, 1, 1])
+    units = replace(Units.single(np.zeros((4, TILES))), members=members)
+    alike = Savings.among(np.arange(4, dtype=np.int32), np.full(4, 1000))
+    nothing, first, both = np.zeros(4, bool), np.arange(4) < 1, np.arange(4) < 2
+    assert gain(units, alike, nothing, first) == 0.97
+    assert gain(units, alike, first, both) == pytest.approx(1 / 3)
+    large = Savings.among(np.arange(4, dtype=np.int32), np.array([10, 10**6, 10, 10]))
+    assert gain(units, large, first, both) > 0.99
+    assert gain(units, alike, both, both) == 0
 
 
 def test_what_must_stay_stays_and_paths_are_limited() -> None:
