@@ -102,6 +102,7 @@ CONSTANTS = {
     "WIDER": search.WIDER,
     "WIDENINGS": search.WIDENINGS,
     "DENSER": search.DENSER,
+    "WORTH_WHILE": search.WORTH_WHILE,
     "UNMET": search.UNMET,
     "NEAR": error_estimate.NEAR,
     "CONFIDENCE": error_estimate.CONFIDENCE,
