@@ -70,8 +70,16 @@ def main(argv: Sequence[str]) -> int:
     for name in again + [part for part in group if not (folder / f"{part}.json").exists()]:
         print(f"measuring {name}", file=sys.stderr, flush=True)
         command = [
-            sys.executable, "-m", "lipac.scripts.lipac", "bench", "-o", str(folder), "--run", name, "--repeats",
-            str(args.repeats)
+            sys.executable,
+            "-m",
+            "lipac.scripts.lipac",
+            "bench",
+            "-o",
+            str(folder),
+            "--run",
+            name,
+            "--repeats",
+            str(args.repeats),
         ]
         if subprocess.run(command, stdout=sys.stderr, check=False).returncode:
             print(f"lipac bench: part '{name}' failed and is left out", file=sys.stderr)

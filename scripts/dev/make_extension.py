@@ -28,8 +28,16 @@ PLATFORMS = {
 }
 # Of docs/: the manual of the panel's controls, and what it refers to
 PAGES = (
-    "user-guide", "write-back", "live", "viewport", "error", "supported", "for-my-scene", "troubleshooting", "install",
-    "glossary"
+    "user-guide",
+    "write-back",
+    "live",
+    "viewport",
+    "error",
+    "supported",
+    "for-my-scene",
+    "troubleshooting",
+    "install",
+    "glossary",
 )
 STYLE = (
     "body{max-width:60em;margin:2em auto;font:16px/1.5 sans-serif}img{max-width:100%}td,th{padding:.2em "
@@ -79,8 +87,16 @@ def download(platform: str, pythons: Iterable[str], folder: Path) -> list[Path]:
                 f"--abi=cp{python}",
             ]
             command = [
-                sys.executable, "-m", "pip", "download", "-q", "--disable-pip-version-check", *only, *names, "-d",
-                str(place)
+                sys.executable,
+                "-m",
+                "pip",
+                "download",
+                "-q",
+                "--disable-pip-version-check",
+                *only,
+                *names,
+                "-d",
+                str(place),
             ]
             subprocess.run([*command, *(f"{name}=={version}" for name, version in wanted.items())], check=True)
         found += [next(place.glob(f"{name}-{version}-*.whl")) for name, version in wanted.items()]

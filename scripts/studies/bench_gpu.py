@@ -103,16 +103,32 @@ def _measure(folder: Path, plan: Plan, case: tuple[str, str, int, str], prepared
             f"warm {device}",
             None,
             [
-                "render", str(warm), "-o", str(folder / "gpu-warm"), *how, "--samples", "1", "--resolution", "64x36",
-                "--quiet"
+                "render",
+                str(warm),
+                "-o",
+                str(folder / "gpu-warm"),
+                *how,
+                "--samples",
+                "1",
+                "--resolution",
+                "64x36",
+                "--quiet",
             ],
         ),
     ]
     picture = ["--resolution", "{}x{}".format(*plan.size)]
     if way == BAKED:
         analysis = [
-            "analyze", str(file), "-o", str(folder / "gpu-analysis" / file.stem), "--bake", "shot", "--save",
-            str(baked), *picture, "--quiet"
+            "analyze",
+            str(file),
+            "-o",
+            str(folder / "gpu-analysis" / file.stem),
+            "--bake",
+            "shot",
+            "--save",
+            str(baked),
+            *picture,
+            "--quiet",
         ]
         steps.append((f"culled {file.stem} {picture[1]}", baked, analysis))
     for name, made, arguments in steps:

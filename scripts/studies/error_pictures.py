@@ -9,6 +9,7 @@ import argparse
 import re
 import sys
 import tempfile
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     table = [head, ("---",) * len(head), *rows]
     stamp = f"LiPaC {__version__} on {machine()}; Cycles on the CPU, {SAMPLES} samples per pixel."
-    text = "\n".join("| " + " | ".join(row) + " |" for row in table) + f"\n\n{stamp}"
+    text = "\n".join("| " + " | ".join(row) + " |" for row in table) + "\n\n" + textwrap.fill(stamp, 120)
     page = args.output / "error.md"
     page.write_text(_PART.sub(lambda part: f"{part[1]}{text}\n{part[2]}", page.read_text()))
     _draw(strips, args.output / "pictures" / "failures.png")

@@ -126,7 +126,7 @@ def command_text(name: str) -> str:
                 )
             )
     if parser.epilog:
-        parts.append(_prose(parser.epilog))
+        parts.append(textwrap.fill(_prose(parser.epilog), 120, break_on_hyphens=False))
     return "\n\n".join(parts)
 
 

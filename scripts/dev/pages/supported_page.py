@@ -26,11 +26,24 @@ _PLACES = ("lipac_addon/extract", "lipac_addon/batch/engines/wishes.py")
 _REFUSALS = ("lipac_addon/extract", "lipac_addon/batch", "lipac_addon/raster", "lipac_addon/open.py")
 # No value and no shader of a material: groups and frames are dissolved by Blender, the others are outputs
 _STRUCTURE = {
-    "GROUP", "GROUP_INPUT", "GROUP_OUTPUT", "FRAME", "REROUTE", "OUTPUT_MATERIAL", "OUTPUT_WORLD", "OUTPUT_LIGHT",
-    "OUTPUT_AOV", "OUTPUT_LINESTYLE"
+    "GROUP",
+    "GROUP_INPUT",
+    "GROUP_OUTPUT",
+    "FRAME",
+    "REROUTE",
+    "OUTPUT_MATERIAL",
+    "OUTPUT_WORLD",
+    "OUTPUT_LIGHT",
+    "OUTPUT_AOV",
+    "OUTPUT_LINESTYLE",
 }
 _CONVERTER = {
-    "NORMAL_MAP", "MAPPING", "UVMAP", "TEX_COORD", "FRESNEL", "LAYER_WEIGHT"
+    "NORMAL_MAP",
+    "MAPPING",
+    "UVMAP",
+    "TEX_COORD",
+    "FRESNEL",
+    "LAYER_WEIGHT",
 }  # followed by whom they are linked to
 
 
