@@ -32,9 +32,9 @@ from .witness import trace_witness
 # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with
 # more than that
 PRICELESS = 50.0
-DENSER_TIMES = 2  # that a measurement gets more paths in some tiles, at most
-DOUBTS = 2  # sets that a search gives up for noise, before it does
-ATTEMPTS = 3  # at a certificate, each with twice the paths of the one before
+DENSER_TIMES = 2  # how often at most a measurement gets more paths in some tiles
+DOUBTS = 2  # sets that a search gives up for noise before that
+ATTEMPTS = 3  # at a certificate, each by a measurement of twice the paths of the one before
 
 
 def analyze(
@@ -92,7 +92,7 @@ def by_counts(loop: Loop, measured: Measurement, min_share: float) -> CullingRes
 
 
 def _unknown(loop: Loop, first_sample: int, samples: int) -> F64:
-    """(T,) share of each tile's light that so many fresh paths per pixel carry through boxes that are not opened."""
+    """(T,) share of each tile's light that fresh paths carry through unopened boxes. samples: of them per pixel."""
     only: NDArray[np.uint8] = np.ones((loop.size[1], loop.size[0], samples), np.uint8)
     witness = trace_witness(loop, first_sample, only, Budget(np.inf, np.inf))
     return np.asarray(witness.unknown / np.maximum(witness.light, max(DARK * float(witness.light.mean()), 1e-30)))
@@ -108,8 +108,8 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     by twice as many; once also where nothing may go, though the search says so. In the end what is not certified stays.
 
     Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that
-    uses up the budget or all but a factor of options.hysteresis; else what it kept goes only where others would save so
-    many times less for the same change.
+    uses at least 1 / options.hysteresis of the budget; else bytes that go with what it kept count for less by that
+    factor.
     """
     attempts = 1 if loop.limited else ATTEMPTS
     for attempt in range(attempts):
@@ -134,8 +134,8 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
 def _decided(
     loop: Loop, measured: Measurement, units: Units, steps: list[Choice], verdict: Verdict, searched: int
 ) -> CullingResult:
-    """States and figures by what is certified; where nothing is, all stays that may, and that is said. searched: paths
-    of the search."""
+    """States and figures by what is certified; where nothing is, all that can be built stays, and a warning says so.
+    searched: paths of the search."""
     warnings = []
     cull, keep, estimate, unknown = verdict.cull, verdict.keep, verdict.estimate, verdict.unknown
     if cull is None:

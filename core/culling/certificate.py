@@ -3,10 +3,9 @@
 A search proposes a sequence of sets, each culling more than the one before. Fresh paths, through the full scene as far
 as they need it, walk down that sequence, step by step. Tested in a fixed order, no set needs a correction for the
 others (hierarchical testing, Maurer et al. 1995); a step that fails is walked in pieces, which is a second such test,
-and both share the doubt. Where only chance stands between a set
-and the budget, more paths are traced in the tiles that doubt it, at most LOOKS times; each look has its share of the
-doubt. A tile that a set may change too much is full: nothing else is culled that is worth anything to it, and the walk
-goes on for the others.
+and both share the doubt. Where only chance stands between a set and the budget, more paths are traced in the tiles that
+doubt it, at most LOOKS times; each look has its share of the doubt. A tile that a set may change too much is full:
+nothing else is culled that is worth anything to it, and the walk goes on for the others.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ class Verdict:
 
 
 class Certificate:
-    """Paths that judge the sets of a sequence."""
+    """Paths that judge the sets of a sequence: they took no part in choosing them."""
 
     def __init__(
         self, loop: Loop, first_sample: int, samples: I64, budget: Budget, confidence: float = CONFIDENCE
@@ -78,8 +77,8 @@ class Certificate:
         """
         self.loop, self.next_sample, self.samples, self.budget = loop, first_sample, samples, budget
         self.each = 1 - (1 - confidence) / (LOOKS * LEVELS)
-        self.paths = self._again = self._looks = 0  # traced in all, and in doubtful tiles; how often
-        # what the paths have in their full scene, whether they met it or not
+        self.paths = self._again = self._looks = 0  # paths traced in all; of those in doubtful tiles; looks so far
+        # instances that the paths' full scene had in its TLAS, whether they met them or not
         self._held = np.zeros(len(loop.activation), bool)
         self._layers: list[_Layer] = []
 
@@ -99,7 +98,7 @@ class Certificate:
         """
         full = np.zeros(TILES, bool)
         failed = 0
-        # which has not to be looked at, nor built
+        # the empty set: it needs neither paths nor builds
         nothing = Accepted(np.zeros(len(units), bool), self.loop.activation.exists.copy(), NOTHING)
         accepted = None if self.loop.limited else nothing
         for k, cull in enumerate(sets):
@@ -152,8 +151,8 @@ class Certificate:
         return Light.of(*(layer.reference for layer in self._layers))
 
     def judge(self, keep: np.ndarray, progress: Progress = silent, doubts: bool = True) -> ErrorEstimate:
-        """The change by a set, (N,) bool of what stays; doubts: with as many looks as it takes to be sure, or that
-        there are left."""
+        """The error of a set, (N,) bool of what stays; doubts: by as many looks as it takes to be sure, or as are
+        left."""
         # the first set, or a part of one that broke the budget: less of the scene would be left to build
         if (keep & ~self._held).any():
             self.loop.include(keep)

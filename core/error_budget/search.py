@@ -24,20 +24,20 @@ from .error_estimate import NOTHING, ErrorEstimate, Light
 from .trial import Trial
 from .units import Units
 
-TRIALS = 64  # at most
+TRIALS = 64  # sets that a search tries, at most
 PATIENCE = 5  # trials in a row that break the budget, after which none is expected to keep it
-# factor and number of steps by which bounds are widened, where what they allow has been tried
+# factor by which bounds are widened, and how often at most, where the set that they allow has been tried already
 WIDER, WIDENINGS = 1.5, 20
 # standard deviations of its measurement that are added to what a unit of a failed trial is worth, and to what a tile
 # has used up
 DEVIATIONS = 2.0
 LIKELY = 0.8  # confidence that sets of a search keep to the budget, by its own paths
-# of what is left of the budget: what a set may add to the one before, so that the sequence has small steps where the
-# budget ends
+# of what is left of the budget: by how much a set may exceed the one before, so that steps are small where the budget
+# ends
 SHARE = 0.5
 PIECES = 4  # that a step of a sequence is judged in, where it breaks the budget as a whole
-# of the budget: what selections are to use up. The rest of it is always taken to be left, for what they are worth is
-# but predicted
+# fill target of the budget: selections may use up this share, and may always add the rest, for what they are worth is but
+# predicted
 AIM = 0.95
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement
 DENSER = 4.0  # times the paths that may be traced in tiles where noise alone stands between a set and the budget
@@ -71,8 +71,8 @@ class Search:
         """trials: paths of the measurement.
 
         before: (U,) bool, what was culled in the last frame: where that keeps to the budget no less is culled, and no
-        more either where it uses up all but a factor of hysteresis. paths: traced by all trials together at most, to
-        those of the measurement. confidence: of each set by these paths.
+        more either where it uses at least 1 / hysteresis of it. paths: traced by all trials together at most, to those
+        of the measurement. confidence: of each set by these paths.
         """
         self.trials, self.units, self.savings, self.budget = trials, units, savings, budget
         self.worth: F64 = units.worth.copy()
@@ -86,8 +86,8 @@ class Search:
 
     def run(self, progress: Progress = silent, doubts: int = TRIALS) -> list[Choice]:
         """The sets found, each a part of the next. Beginning with what no path meets, more and more is culled: what is
-        predicted to fit the rest of the budget. Ends early where so many sets were given up that more paths might show
-        to hold: `doubted`.
+        predicted to fit the rest of the budget. Ends early after `doubts` sets that broke the budget, though more paths
+        might show that they hold it: in tiles `doubted`.
         """
         steps, again = self._first()
         share, failed = SHARE, 0
@@ -119,11 +119,8 @@ class Search:
         return int(self.units.members[:n][~choice.cull[:n]].sum())
 
     def _first(self) -> tuple[list[Choice], bool]:
-        """Sets to begin with: what was culled in the last frame, where that keeps to the budget; else units that no
-        path met, the cheapest first.
-
-        Whether it is the first of these.
-        """
+        """Sets to begin with, and whether they are the last frame's: what was culled in it, where that keeps to the
+        budget; else units that no path met, the cheapest first."""
         nothing = Choice(np.zeros(len(self.units), bool), NOTHING)
         if self.before is not None:
             choice = self._try(self.before & np.isfinite(self.worth).all(axis=1), nothing)
@@ -131,7 +128,7 @@ class Search:
                 return [choice], True
         n, steps = self.units.with_entries, [nothing]
         saved = self.units.saved(self.savings, ~nothing.cull)
-        # met, though carrying no light
+        # met by paths that carry no light
         free = np.isfinite(self.worth[:n]).all(axis=1) & (self.worth[:n].sum(axis=1) == 0)
         for share in UNMET:
             cull = nothing.cull.copy()
@@ -162,8 +159,8 @@ class Search:
     def _try(self, cull: np.ndarray, already: Choice) -> Choice | None:
         """Trace without cull, (U,) bool; None where that breaks the budget, or would take more paths than are left.
 
-        already: a part of it, whose log there is: only paths that met what else is culled can differ from that. What
-        breaks the budget is measured all the same, and known better than it was predicted.
+        already: the accepted set, a part of it: only paths that met what else is culled can differ from its log. Units
+        of a set that breaks the budget get what was measured in place of what was predicted.
         """
         new = cull & ~already.cull
         entries = self.units.entries(cull)
