@@ -36,8 +36,8 @@ LIKELY = 0.8  # confidence that sets of a search keep to the budget, by its own 
 # ends
 SHARE = 0.5
 PIECES = 4  # that a step of a sequence is judged in, where it breaks the budget as a whole
-# fill target of the budget: selections may use up this share, and may always add the rest, for what they are worth is but
-# predicted
+# fill target of the budget: selections may use up this share, and may always add the rest, for what they are worth is
+# but predicted
 AIM = 0.95
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement
 DENSER = 4.0  # times the paths that may be traced in tiles where noise alone stands between a set and the budget
