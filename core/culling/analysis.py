@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from ..accel.region_tree import FANOUT
 from ..accel.tlas import Tlas
 from ..arrays import F64, I32
-from ..error_budget.budget import Budget, Savings
+from ..error_budget.budget import Budget, Savings, Shared
 from ..error_budget.error_estimate import CONFIDENCE, Reference
+from ..error_budget.fitting import least_that_fits
 from ..error_budget.search import DENSER, TRIALS, WORTH_WHILE, Choice, Search, gain
 from ..error_budget.trial import Trial
 from ..error_budget.units import Units, units_of
+from ..errors import InputError
 from ..feedback.path_log import PathLog
 from ..feedback.tiles import DARK, marks
 from ..progress import Progress, part, silent
@@ -35,6 +37,8 @@ PRICELESS = 50.0
 DENSER_TIMES = 2  # how often at most a measurement gets more paths in some tiles
 DOUBTS = 2  # sets that a search gives up for noise before that
 ATTEMPTS = 3  # at a certificate, each by a measurement of twice the paths of the one before
+# Where memory is limited: by how much the budget is widened at a time, from a least one on, up to which mean
+WIDER, LEAST_BOUND, WIDEST = 4.0, 0.002, 2.0
 
 
 def analyze(
@@ -62,7 +66,10 @@ def decide(loop: Loop, progress: Progress = silent) -> CullingResult:
     measured = loop.run(part(progress, 0.0, 0.7, "light paths ask for geometry, "))
     if options.min_share is not None:
         return by_counts(loop, measured, options.min_share)
-    return by_budget(loop, measured, options.max_error, part(progress, 0.7, 1.0, "calibrating, "))
+    within = part(progress, 0.7, 1.0, "calibrating, ")
+    if options.memory and scene.render_costs is not None:
+        return by_memory(loop, measured, options.max_error, options.memory, within)
+    return by_budget(loop, measured, options.max_error, within)
 
 
 def reaches(met: np.ndarray, paths: int, share: np.ndarray | float) -> np.ndarray:
@@ -111,6 +118,74 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     uses at least 1 / options.hysteresis of the budget; else bytes that go with what it kept count for less by that
     factor.
     """
+    return _decided(loop, *_judged(loop, measured, budget, progress))
+
+
+def by_memory(
+    loop: Loop, measured: Measurement, budget: Budget, limit: int, progress: Progress = silent
+) -> CullingResult:
+    """Cull as `by_budget` does, and where the render would take more bytes than a limit, go on with what changes the
+    picture least per byte, until it does not: the certified change is then larger than the budget.
+
+    Raises InputError where that cannot be.
+    """
+    _check_memory(loop, loop.activation.pinned, limit)
+    measured, units, steps, verdict, searched = _judged(loop, measured, budget, part(progress, 0.0, 0.5))
+    bound, ids = budget, measured.tlas.ids
+    while not _fits(loop, verdict.keep, limit):
+        if bound.mean > WIDEST:
+            _check_memory(loop, _kept(loop, units, np.isfinite(units.worth).all(axis=1), ids), limit)
+        bound = Budget(*(WIDER * max(x, LEAST_BOUND) for x in (bound.mean, bound.worst)))
+        measured, search, steps, traced = _searched(loop, measured, bound, silent)
+        searched, ids, units = searched + traced, measured.tlas.ids, search.units
+        sets = [step.cull for step in steps]
+        if bound.mean > WIDEST:
+            sets.append(np.isfinite(units.worth).all(axis=1))
+
+        def fits(cull: np.ndarray, units: Units = units, ids: I32 = ids) -> bool:
+            return _fits(loop, _kept(loop, units, cull, ids), limit)
+
+        cull = least_that_fits(sets, units, search.savings, fits)
+        if cull is not None:
+            judge = Certificate(loop, measured.next_sample, measured.samples, bound)
+            verdict = judge.verdict(cull, _kept(loop, units, cull, ids), part(progress, 0.5, 1.0))
+    result = _decided(loop, measured, units, steps, verdict, searched)
+    return replace(result, stats=result.stats | {"memory_limit_bytes": limit})
+
+
+def _fits(loop: Loop, keep: np.ndarray, limit: int) -> bool:
+    """Whether a render with the instances of keep, (N,) bool, surely takes no more than a limit."""
+    return _at_most(loop, keep) <= limit
+
+
+def _at_most(loop: Loop, keep: np.ndarray) -> int:
+    costs, instances = loop.scene.render_costs, loop.scene.instances
+    assert costs is not None
+    return costs.at_most(costs.total(instances.mesh, instances.slots, keep & loop.activation.exists))
+
+
+def _check_memory(loop: Loop, least: np.ndarray, limit: int) -> None:
+    """Raise InputError where not even the instances of least, (N,) bool, fit into a limit."""
+    costs, needed = loop.scene.render_costs, _at_most(loop, least)
+    if needed > limit:
+        assert costs is not None
+        fixed = costs.at_most(costs.fixed + costs.process)
+        raise InputError(
+            f"--memory {_megabytes(limit)}: the render takes at least {_megabytes(needed)}: {_megabytes(fixed)} for "
+            f"Blender, the file and the picture, {_megabytes(needed - fixed)} for what cannot be culled"
+        )
+
+
+def _megabytes(count: int) -> str:
+    """Rounded up, as --memory takes it."""
+    return f"{-(-count // 1_000_000)}M"
+
+
+def _judged(
+    loop: Loop, measured: Measurement, budget: Budget, progress: Progress
+) -> tuple[Measurement, Units, list[Choice], Verdict, int]:
+    """What surely keeps a budget, with the measurement, the units and the sets that it is of, and how many paths were
+    traced for these."""
     attempts = 1 if loop.limited else ATTEMPTS
     for attempt in range(attempts):
         within = part(progress, attempt / attempts, (attempt + 1) / attempts)
@@ -128,7 +203,7 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
         if not fruitless or attempt == attempts - 1:
             break
         measured = loop.measure(None, 2 * measured.log.shape[2], part(within, 0.9, 1.0))
-    return _decided(loop, measured, units, steps, verdict, searched)
+    return measured, units, steps, verdict, searched
 
 
 def _decided(
@@ -205,8 +280,7 @@ def _search(loop: Loop, measured: Measurement, budget: Budget) -> Search:
     ids = measured.tlas.ids
     with loop.timer.step("feedback_s"):
         worth = measured.worth
-        reluctance = np.where(loop.activation.kept[ids], loop.options.hysteresis, 1.0)
-        savings = Savings.among(loop.scene.instances.mesh[ids], loop.blas.counted_bytes, reluctance)
+        savings = _savings(loop, ids)
         must = loop.activation.pinned.copy()
         must[ids[(worth > PRICELESS).any(axis=1)]] = True
         units = units_of(loop.activation.regions, ids, measured.paths_met(), worth, must)
@@ -230,6 +304,17 @@ def _search(loop: Loop, measured: Measurement, budget: Budget) -> Search:
     light = _light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64))
     trials = [trial(traced, None if k else light) for k, traced in enumerate(measured.traced)]
     return Search(trials, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
+
+
+def _savings(loop: Loop, ids: I32) -> Savings:
+    """Of TLAS entries of instances ids: bytes of the analysis' own structures, or, where memory is limited, of the
+    render's."""
+    instances, costs = loop.scene.instances, loop.scene.render_costs
+    reluctance = np.where(loop.activation.kept[ids], loop.options.hysteresis, 1.0)
+    if not loop.options.memory or costs is None:
+        return Savings.among(instances.mesh[ids], loop.blas.counted_bytes, reluctance)
+    shared = Shared(instances.slots[ids], costs.uses, costs.image)
+    return Savings.among(instances.mesh[ids], costs.mesh, reluctance, costs.instance[ids].astype(np.float64), shared)
 
 
 def _kept(loop: Loop, units: Units, cull: np.ndarray, ids: I32) -> np.ndarray:

@@ -131,6 +131,11 @@ class Certificate:
                 full |= exceeded
         return self._verdict(accepted, np.zeros(0, bool), NOTHING)
 
+    def verdict(self, cull: np.ndarray, keep: np.ndarray, progress: Progress = silent) -> Verdict:
+        """The change by a set of units, (U,) bool, whatever the budget. keep: the instances that it leaves, (N,)
+        bool."""
+        return self._verdict(Accepted(cull, keep, self.judge(keep, progress)), keep, NOTHING)
+
     def _verdict(self, accepted: Accepted | None, keep: np.ndarray, estimate: ErrorEstimate) -> Verdict:
         """keep, estimate: of the set that was judged last, where none was accepted."""
         cull, keep, estimate = (

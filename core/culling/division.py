@@ -18,6 +18,7 @@ from ..arrays import F32, I32, I64
 from ..scene.bounds import enclosing, triangle_boxes
 from ..scene.mesh import DIVIDED_FROM, Mesh, MeshSequence
 from ..scene.model import InstanceFlag, Instances, Scene, world_bounds
+from ..scene.render_costs import RenderCosts
 from ..tracing.lights.lights import emissive_instances
 from .options import CullOptions, State
 from .policies import LIGHT_PATHS
@@ -142,7 +143,17 @@ class Division:
             ),
             meshes=_Meshes(self._whole.meshes, list(self._parts)),
             mesh_bounds=mesh_bounds,
+            render_costs=self._costs(),
         )
+
+    def _costs(self) -> RenderCosts | None:
+        """Of a render, by parts."""
+        costs = self._whole.render_costs
+        if costs is None:
+            return None
+        sizes = [np.diff(np.append(np.arange(0, len(parts.order), PART), len(parts.order))) for parts in self._parts]
+        meshes = self._whole.instances.mesh[self._rows].tolist()
+        return costs.divided(self.owner, list(zip(meshes, sizes, strict=True)))
 
     @property
     def owner(self) -> I64:

@@ -42,6 +42,9 @@ class CullOptions:
     path in so many is tested against hitboxes. settled: requests per path at which the rounds of a frame end, 0: none
     may be left; max_iterations: rounds of a frame at most.
 
+    memory: `light-paths`: bytes that the render may take; where `Scene.render_costs` say that it takes more, more is
+    culled than max_error allows. 0: no limit.
+
     parts: large meshes are culled by parts, where an instance's flags let them.
 
     Over the frames of a shot: hysteresis: keep threshold = new threshold / hysteresis, 1 for none; mitigation: large
@@ -60,6 +63,7 @@ class CullOptions:
     settled: float = 0.02
     max_iterations: int = 64
     parts: bool = False
+    memory: int = 0
     hysteresis: float = 2.0
     mitigation: bool = True
     blas_budget_ms: float = 0.0

@@ -75,28 +75,68 @@ def _greedy(order, weights, mean_bound, tile_bounds):
 
 
 @dataclass(frozen=True)
+class Shared:
+    """What A entries have in common beside meshes, such as images.
+
+    group: (A,) int32 of each entry; uses: (U, 2) int32, pairs of a group and a thing; bytes_of: (I,) int64, of each
+    thing.
+    """
+
+    group: I32
+    uses: I32
+    bytes_of: I64
+
+    def shares(self) -> F64:
+        """(A,) bytes, of each thing in equal parts by the entries that use it."""
+        groups = int(max(self.group.max(initial=0), self.uses[:, 0].max(initial=0))) + 1
+        entries, (group, thing) = np.bincount(self.group, minlength=groups), self.uses.T
+        users = np.bincount(thing, entries[group], len(self.bytes_of))
+        return np.asarray(np.bincount(group, self.bytes_of[thing] / np.maximum(users[thing], 1), groups)[self.group])
+
+    def of(self, stay: np.ndarray) -> Shared:
+        """Of those of the A that stay, (A,) bool."""
+        return Shared(self.group[stay], self.uses, self.bytes_of)
+
+
+@dataclass(frozen=True)
 class Savings:
     """What culling of A TLAS entries saves.
 
     mesh: (A,) int32; bytes_of: (M,) int64, of each BLAS; share: (A,) float64 bytes that an entry saves: its own and, in
-    equal parts among those of the A that share a BLAS, of that BLAS, divided by reluctance: (A,) float64.
+    equal parts among those of the A that share them, of its BLAS and of what else is shared, divided by reluctance:
+    (A,) float64. own: (A,) float64 bytes of the entry itself.
     """
 
     mesh: I32
     bytes_of: I64
     share: F64
     reluctance: F64
+    own: F64
+    shared: Shared | None = None
 
     @staticmethod
-    def among(mesh: I32, bytes_of: I64, reluctance: F64 | float = 1.0) -> Savings:
+    def among(
+        mesh: I32,
+        bytes_of: I64,
+        reluctance: F64 | float = 1.0,
+        own: F64 | float = ENTRY_BYTES,
+        shared: Shared | None = None,
+    ) -> Savings:
         """For entries with these meshes. reluctance: (A,), divides the share: above 1 for those that rather stay."""
         users = np.bincount(mesh, minlength=len(bytes_of))
-        by = np.broadcast_to(np.asarray(reluctance, np.float64), len(mesh))
-        return Savings(mesh, bytes_of, (ENTRY_BYTES + bytes_of[mesh] / users[mesh]) / by, by)
+        by, entry = (np.broadcast_to(np.asarray(x, np.float64), len(mesh)) for x in (reluctance, own))
+        share = entry + bytes_of[mesh] / users[mesh] + (0.0 if shared is None else shared.shares())
+        return Savings(mesh, bytes_of, share / by, by, entry, shared)
 
     def among_these(self, stay: np.ndarray) -> Savings:
         """For those of the A that stay, (A,) bool, where the others are gone: fewer have a BLAS in common."""
-        return Savings.among(self.mesh[stay], self.bytes_of, self.reluctance[stay])
+        shared = None if self.shared is None else self.shared.of(stay)
+        return Savings.among(self.mesh[stay], self.bytes_of, self.reluctance[stay], self.own[stay], shared)
+
+    @property
+    def typical(self) -> float:
+        """Bytes of an entry of which nothing is known."""
+        return float(self.own.mean()) if len(self.own) else ENTRY_BYTES
 
 
 def select(weights: F64, saved: F64, mean_bound: float, tile_bounds: F64 | float) -> Selection:

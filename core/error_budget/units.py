@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..accel.region_tree import FANOUT, Regions
 from ..arrays import F64, I32, I64
-from .budget import ENTRY_BYTES, Savings
+from .budget import Savings
 
 # paths that must meet an instance, or a pool, for it to be a unit: their number is then known to a third (1 / sqrt(8))
 EVIDENCE = 8
@@ -71,7 +71,7 @@ class Units:
         share = np.zeros(len(left))
         share[left] = savings.among_these(left).share
         out = np.bincount(self.of_entry, share, len(self)) if len(left) else np.zeros(len(self))
-        out[self.with_entries :] = ENTRY_BYTES * self.members[self.with_entries :]
+        out[self.with_entries :] = savings.typical * self.members[self.with_entries :]
         return np.maximum(out, 1.0)
 
     def unmet_kept(self, cull: np.ndarray, regions: Regions) -> I32:

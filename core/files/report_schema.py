@@ -87,6 +87,9 @@ FRAME: dict[str, tuple[dict[str, Any], str]] = {
     "blas_held_bytes": (COUNT, "of all that are held"),
     "tlas_bytes": (COUNT, "bytes of the structure over active instances and hitboxes"),
     "analysis_peak_bytes": (COUNT, "peak memory of the process that analysed ahead"),
+    "memory_bytes": (COUNT, "what the process that renders by Cycles on the CPU is predicted to take"),
+    "memory_error_bytes": (COUNT, "by which it is not expected to exceed that"),
+    "memory_limit_bytes": (COUNT, "`--memory`"),
     "device_bytes": (
         {"type": ["integer", "null"]},
         "most of the graphics card's memory by Cycles' count; null where Blender does not say",
@@ -118,8 +121,13 @@ FRAME: dict[str, tuple[dict[str, Any], str]] = {
             "properties": {
                 **dict.fromkeys(
                     (
-                        "removed", "hidden_objects", "masked_hosts", "particle_hosts", "face_hosts", "faces_removed",
-                        "emptied_sources"
+                        "removed",
+                        "hidden_objects",
+                        "masked_hosts",
+                        "particle_hosts",
+                        "face_hosts",
+                        "faces_removed",
+                        "emptied_sources",
                     ),
                     COUNT,
                 ),

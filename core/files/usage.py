@@ -6,16 +6,26 @@ import sys
 from pathlib import Path
 
 
+def resident_memory() -> int:
+    """Resident memory of this process now, bytes; where the system does not tell, the largest up to now."""
+    if sys.platform == "linux":
+        return _status("VmRSS:")
+    return peak_memory()
+
+
+def _status(name: str) -> int:
+    """A number of kilobytes in /proc/self/status, in bytes."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith(name)), 0)
+
+
 def peak_memory() -> int:
     """Largest resident memory of this process up to now, bytes; 0 where the system does not tell.
 
     On Linux from VmHWM: `ru_maxrss` would begin with the size of the process that started this one.
     """
     if sys.platform == "linux":
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-        return 0
+        return _status("VmHWM:")
     if sys.platform == "win32":
         return _windows_peak()
     import resource

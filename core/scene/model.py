@@ -15,6 +15,7 @@ import numpy as np
 
 from ..arrays import F32, F64, I32, U8, Records
 from .mesh import Mesh, MeshTable
+from .render_costs import RenderCosts
 
 
 class RayType(IntEnum):
@@ -337,6 +338,7 @@ class Scene:
     approximated: tuple[str, ...] = ()
     first_hits: Mapping[tuple[int, int], FirstHitBuffer] = field(default_factory=dict)
     shutter: tuple[Camera, ...] = ()
+    render_costs: RenderCosts | None = None
 
 
 def default_material() -> Records:

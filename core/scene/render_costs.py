@@ -1,7 +1,7 @@
 """What a render by Cycles takes of the host's memory, in bytes, by what is in it: meshes, images, instances, and what
 is there whatever is culled.
 
-A rate is what a sweep of synthetic scenes measured for each thing more of a kind (`lipac bench --only memory`,
+A rate is what a sweep of synthetic scenes measured for each thing more of a kind (`lipac.scripts.studies.memory.sweep`,
 docs/memory.md), Blender's own copy of it included. Cycles builds BVHes side by side, so how much of them is there at
 the same time depends on the processors; rates are those of many meshes.
 """
@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F64, I32, I64
-from .model import Instances
 
 # Bytes of a mesh: (of each triangle, vertex, and corner of a triangle with UVs that a material reads)
 TRIANGLE, VERTEX, UV_CORNER = 44, 28, 16
 BVH_TRIANGLE = 84  # Embree's tree, and the boxes that it is built from
 MESH = 2_000
-DELETING_TRIANGLE = 30  # of a mesh of which faces are deleted before the render, that of all of them
+ERROR, SLACK = 0.12, 12_000_000  # of a prediction, the process before the render left out: a share, and bytes
+DELETING_TRIANGLE = 50  # of a mesh of which faces are deleted before the render, that of all of them
+ROW = 200  # of what geometry nodes place, whether it is deleted before the render or not
 OBJECT, EMPTY, PLACED = 21_000, 12_400, 1_600  # of an object, of one that instances a collection, of what is instanced
 
 
@@ -30,7 +31,7 @@ class RenderCosts:
 
     geometry, bvh: (M,) int64, of each mesh. cutting: (M,) int64, of one of which some faces are deleted, on top.
     instance: (N,) int32. image: (I,) int64. uses: (U, 2) int32, pairs: objects whose materials begin at a number of
-    `Instances.slots` have an image. fixed: what is there whatever is culled.
+    `Instances.slots` have an image. fixed: what is there whatever is culled; process: before the render begins.
     """
 
     geometry: I64
@@ -40,6 +41,7 @@ class RenderCosts:
     image: I64
     uses: I32
     fixed: int = 0
+    process: int = 0
 
     @staticmethod
     def of_meshes(triangles: I64, vertices: I64, textured: NDArray[np.bool_]) -> tuple[I64, I64, I64]:
@@ -65,18 +67,21 @@ class RenderCosts:
         out[self.uses[np.isin(self.uses[:, 0], slots), 1]] = True
         return out
 
-    def total(self, instances: Instances, keep: NDArray[np.bool_], share: F64 | None = None) -> int:
-        """Bytes of a render with the instances of keep, (N,) bool. share: (M,) of each mesh that is there, where faces
-        are deleted."""
+    def total(self, mesh: I32, slots: I32, keep: NDArray[np.bool_], share: F64 | None = None) -> int:
+        """Bytes of a render with the instances of keep, (N,) bool. mesh, slots: (N,), as of `Instances`; share: (M,) of
+        each mesh that is there, where faces are deleted."""
         meshes = np.zeros(len(self.geometry), bool)
-        meshes[instances.mesh[keep]] = True
+        meshes[mesh[keep]] = True
         held = (self.mesh * meshes).astype(np.float64)
         if share is not None:
             held = held * share + self.cutting * (meshes & (share < 1))
-        images = self.images_of(np.unique(instances.slots[keep]))
-        return (
-            self.fixed + int(held.sum()) + int(self.instance[keep].sum(dtype=np.int64)) + int(self.image[images].sum())
-        )
+        images = self.images_of(np.unique(slots[keep]))
+        parts = held.sum(), self.instance[keep].sum(dtype=np.int64), self.image[images].sum()
+        return self.process + self.fixed + sum(map(int, parts))
+
+    def at_most(self, total: int) -> int:
+        """What a render does not exceed for which so many bytes are predicted."""
+        return total + round(ERROR * (total - self.process)) + SLACK
 
     def with_images_that_stay(self, stay: NDArray[np.bool_]) -> RenderCosts:
         """Where images, (I,) bool, are loaded whatever is culled."""

@@ -56,6 +56,12 @@ class Ahead:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def wait(self, cancelled: Cancel) -> None:
+        """Wait until the process has ended, and with it what it takes."""
+        while self._process.poll() is None:
+            check(cancelled)
+            time.sleep(TICK)
+
     def close(self) -> None:
         """End the process, and remove what it has left."""
         self._process.kill()

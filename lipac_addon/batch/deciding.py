@@ -62,6 +62,13 @@ class Decided:
         one = len(self.weighed) == 1
         return [row for layer in self.weighed for row in layer.rows(removed if one else None, reasons)]
 
+    def figures(self, process: int, removed: np.ndarray | None = None) -> dict[str, int]:
+        """What the process that renders is predicted to take, for the report; of several view layers the one that takes
+        most. process: what it takes before it renders; removed: as of `memory`."""
+        one = len(self.weighed) == 1
+        found = [layer.figures(process, removed if one else None) for layer in self.weighed]
+        return max(found, key=lambda figures: figures["memory_bytes"], default={})
+
     def save(self, path: Path, note: str = "") -> None:
         """As a file of states."""
         save_states(
@@ -111,7 +118,7 @@ def decide_layers(
             shown |= dict.fromkeys(error.shown)
             continue
         check(cancelled)
-        extraction = session.expose(extraction, frame, within, cancelled)
+        extraction = session.limit_memory(session.expose(extraction, frame, within, cancelled))
         if last:
             session.end_reading()
         check(cancelled)

@@ -17,6 +17,7 @@ from ...core.culling.options import State
 from ...core.error_budget.budget import Budget
 from ...core.files.memory_table import MemoryRow
 from ...core.files.report import Report, save_states
+from ...core.files.usage import resident_memory
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import RAY_TYPES, Scene
 from .. import writeback
@@ -24,6 +25,7 @@ from ..console import muted
 from ..depsgraph import show_frame
 from ..extract import Extraction
 from ..keys import Keys
+from ..memory.limit import PROCESS
 from ..writeback import WritebackResult
 from .ahead import Ahead
 from .deciding import Decided, decide_layers, decided_of
@@ -52,6 +54,8 @@ def run_frame_ahead(
     InputError, Cancelled."""
     progress(0.0, "waiting for the analysis")
     found = ahead.take(frame, job.states(frame), cancelled)
+    if job.options.memory:
+        ahead.wait(cancelled)
     with muted():
         writeback.restore()
     show_frame(bpy.context.scene, frame)
@@ -132,14 +136,17 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
             lines, applied = write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry, decided.faces)
             warnings, approximated = (*warnings, *lines), decided.approximated
             memory = decided.memory(applied.removed, applied.reasons)
-            del decided
+            figures = decided.figures(0, applied.removed)
+            del decided, applied
             for session in sessions if last else ():
                 session.close()  # the render needs the memory
             gc.collect()
             rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
+            entry |= _beside(figures)
             entry |= render(job, frame, rest).entry()
             entry |= verified(job, frame, None, None, rest, cancelled)
             return Outcome(entry, approximated, warnings, memory)
+        entry |= decided.figures(job.process or PROCESS)
         return Outcome(entry, decided.approximated, warnings, decided.memory())
     decided = _by_ours(sessions[0], frame, progress, cancelled, last)
     return Outcome(decided.entry, decided.approximated, decided.warnings, decided.memory())
@@ -202,6 +209,7 @@ def render(job: Job, frame: int, progress: Progress) -> Rendered:
 def _render_whole(job: Job, frame: int, progress: Progress) -> Outcome:
     """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed."""
     show_frame(bpy.context.scene, frame)
+    before = resident_memory()
     with counting() as counted:
         rendered = render(job, frame, part(progress, 0.0, 1.0, "rendering, "))
     n = len(counted.keys.records)
@@ -216,7 +224,12 @@ def _render_whole(job: Job, frame: int, progress: Progress) -> Outcome:
     )
     counts = {"instances": n, "active": n, "meshes": counted.meshes}
     seconds = {"sync_s": counted.seconds, **rendered.entry(), "render_s": rendered.seconds - counted.seconds}
-    return Outcome({"frame": frame, **seconds, **counts}, memory=counted.memory(frame))
+    return Outcome({"frame": frame, **seconds, **counts, **counted.figures(before)}, memory=counted.memory(frame))
+
+
+def _beside(figures: dict[str, int]) -> dict[str, int]:
+    """What a render is predicted to take beside what the process takes already."""
+    return figures and figures | {"memory_bytes": figures["memory_bytes"] + resident_memory()}
 
 
 def write_back(

@@ -46,7 +46,8 @@ class Job:
     the engine that the open scene is set to, which `engine` names, to its own files, all of its output included. ahead:
     arguments of `lipac analyze` that decide the same in a process of its own, where that is to go on while frames are
     rendered; none: it is not. texture_cache: for Cycles, the folder of Blender's files of tiles of images
-    (`texture_cache`); None: as the scene is set.
+    (`texture_cache`); None: as the scene is set. process: bytes of the process that renders, before it does, where its
+    memory is limited (`CullOptions.memory`); 0: not known.
     """
 
     folder: Path
@@ -68,6 +69,7 @@ class Job:
     as_scene: bool = False
     ahead: tuple[str, ...] = ()
     texture_cache: Path | None = None
+    process: int = 0
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""

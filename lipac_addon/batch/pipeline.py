@@ -10,6 +10,7 @@ import bpy
 from ...core.culling.policies import NOTHING
 from ...core.files.atomic import alone, sweep
 from ...core.files.report import Report
+from ...core.files.usage import resident_memory
 from ...core.progress import Progress, part, silent
 from .. import writeback
 from ..console import muted
@@ -76,6 +77,9 @@ def _sweep(job: Job, keep_analyses: bool) -> None:
 
 def _run_frames(job: Job, finished: set[int], report: Report, progress: Progress, cancelled: Cancel) -> None:
     todo = [frame for frame in job.frames if job.warm or frame not in finished]
+    if job.options.memory and job.engine:
+        _run_in_little_memory(job, todo, report, progress, cancelled)
+        return
     if job.ahead and not job.whole and not finished and len(todo) > 1:
         with Ahead(job.ahead, todo) as ahead:
             for k, frame in enumerate(todo):
@@ -100,3 +104,14 @@ def _run_frames(job: Job, finished: set[int], report: Report, progress: Progress
                 continue
             run_frame(sessions, frame, report, within, cancelled, last=frame == todo[-1])
             report.write(job.folder)
+
+
+def _run_in_little_memory(job: Job, todo: list[int], report: Report, progress: Progress, cancelled: Cancel) -> None:
+    """Frames whose renders are not to take more than so much: each is decided by another process before it, so that the
+    one that renders holds nothing of the analysis, and both are not there at a time."""
+    for k, frame in enumerate(todo):
+        check(cancelled)
+        within = part(progress, k / len(todo), (k + 1) / len(todo), f"frame {frame}: ")
+        with Ahead((*job.ahead, "--process", str(resident_memory())), [frame]) as ahead:
+            run_frame_ahead(job, ahead, frame, report, within, cancelled)
+        report.write(job.folder)

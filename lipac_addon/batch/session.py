@@ -20,6 +20,7 @@ from ..console import muted
 from ..depsgraph import rendered_layers
 from ..extract import Extraction, Extractor
 from ..keys import any_of
+from ..memory.limit import PROCESS, limited
 from .engines.choices import BLENDER_ENGINES
 from .job import Cancel, Job, never
 
@@ -91,6 +92,15 @@ class Session:
             extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
         self._pinned = any_of(extraction.keys.records, needed)
         return extraction
+
+    def limit_memory(self, extraction: Extraction) -> Extraction:
+        """Where the render's memory is limited: the frame that was extracted with what its render takes. What cannot be
+        taken away is pinned."""
+        if not self.job.options.memory:
+            return extraction
+        scene, stays = limited(extraction, bpy.context.scene, self.job.process or PROCESS)
+        self._pinned = stays if self._pinned is None else self._pinned | stays
+        return replace(extraction, scene=scene)
 
     def end_reading(self) -> None:
         """No frame follows: let go of what would tell it from the last one. Meshes of that can still be read."""

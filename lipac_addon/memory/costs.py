@@ -10,14 +10,13 @@ import bpy
 import numpy as np
 
 from ...core.arrays import I32, I64, Records
-from ...core.scene.render_costs import EMPTY, OBJECT, PLACED, RenderCosts
-from ...core.threads import processors
+from ...core.scene.render_costs import EMPTY, OBJECT, PLACED, ROW, RenderCosts
 from ..extract import Extraction
 from ..keys import Kind
 from .images import image_bytes, images_of
 
 PIXEL, PASS_PIXEL, DENOISED_PIXEL = 80, 42, 830  # bytes: of a picture, of each further pass, of one that is denoised
-CYCLES, DENOISER = 20_000_000, 60_000_000  # without anything in the scene
+CYCLES, DENOISER = 60_000_000, 60_000_000  # without anything in the scene
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,10 @@ def named_costs(
     sizes = {image: image_bytes(image) for image in {*images, *world}}
     size = np.array([sizes[image] for image in images], np.int64)
     stay = np.array([image in world for image in images], bool)
-    largest = max(sizes.values(), default=0) * min(processors(), len(sizes))  # while they are read
-    fixed = CYCLES + film_bytes(scene) + largest + sum(sizes[image] for image in world - set(images))
+    # while it is read, Blender's own of it is there too
+    largest = max(sizes.values(), default=0)
+    rows = int(np.count_nonzero(records["kind"] == Kind.GEOMETRY_NODES))
+    fixed = CYCLES + film_bytes(scene) + ROW * rows + largest + sum(sizes[image] for image in world - set(images))
     costs = RenderCosts(*per_mesh, _instances(records), size, uses, fixed).with_images_that_stay(stay)
     names = tuple("" if mesh is None else mesh.name for mesh in found)
     return NamedCosts(costs, names, tuple(image.name_full for image in images))

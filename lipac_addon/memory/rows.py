@@ -92,12 +92,21 @@ class Weighed:
             self.frame,
         )
 
+    def figures(self, process: int, removed: NDArray[np.bool_] | None = None) -> dict[str, int]:
+        """For the report: bytes that the process which renders is predicted to take, and how many more than that at
+        most. process: what it takes before."""
+        costs = replace(self.named.costs, process=process)
+        total = replace(self, named=replace(self.named, costs=costs)).total(removed)
+        return {"memory_bytes": total, "memory_error_bytes": costs.at_most(total) - total}
+
     def total(self, removed: NDArray[np.bool_] | None = None) -> int:
         """Bytes that the render takes."""
         share = np.ones(len(self.named.costs.geometry))
         for row, part in self.outcome.share.items():
             share[self.instances.mesh[row]] = part
-        return self.named.costs.total(self.instances, self.outcome.present if removed is None else ~removed, share)
+        return self.named.costs.total(
+            self.instances.mesh, self.instances.slots, self.outcome.present if removed is None else ~removed, share
+        )
 
 
 def memory_rows(named: NamedCosts, instances: Instances, keys: Keys, outcome: Outcome, frame: int) -> list[MemoryRow]:

@@ -61,7 +61,8 @@ def do_frames(
         from ..lipac import began
 
         gc.freeze()  # what is loaded by now stays: who collects garbage need not look through it
-        if args.cull != "none" or engine not in BLENDER_ENGINES:
+        # where memory is limited another process analyses
+        if (args.cull != "none" or engine not in BLENDER_ENGINES) and not (args.memory and engine):
             load_ahead()
         if args.scene is not None:
             unread = (
@@ -106,7 +107,17 @@ def do_frames(
         tiles = getattr(args, "texture_cache", None)
         tiles = args.output / "texture_cache" if tiles == Path() else tiles
         job = Job(
-            args.output, frames, cull_options(args), engine, samples, args.seed, args.threads, *more, ahead, tiles
+            args.output,
+            frames,
+            cull_options(args),
+            engine,
+            samples,
+            args.seed,
+            args.threads,
+            *more,
+            ahead,
+            tiles,
+            args.process or 0,
         )
         report = new_report(args, job)
         report.began = began()
@@ -134,7 +145,10 @@ def ahead_arguments(args: argparse.Namespace, alone: bool) -> tuple[str, ...]:
 
     alone: Blender is a module of this Python, not a program that has it.
     """
-    wanted = getattr(args, "ahead", False)
+    limited = bool(args.memory) and hasattr(args, "ahead")
+    if limited and (not alone or _off_the_cpu(args)):
+        raise InputError("--memory is for the lipac command, and for renders on the CPU: add --device cpu")
+    wanted = limited or getattr(args, "ahead", False)
     if (
         args.scene is None
         or not alone
@@ -149,11 +163,12 @@ def ahead_arguments(args: argparse.Namespace, alone: bool) -> tuple[str, ...]:
     said = {
         "resolution": args.resolution and "{}x{}".format(*args.resolution),
         "blas-budget": args.blas_budget,
+        "memory": args.memory,
         "threads": args.threads,
         "seed": args.seed,
     }
     said |= {name.replace("_", "-"): getattr(args, name) for name in ("camera", "max_error", "min_share", "paths")}
-    flags = [f"--{name}" for name in ("warm", "no-mitigation") if getattr(args, name.replace("-", "_"))]
+    flags = [f"--{name}" for name in ("warm", "no-mitigation", "no-parts") if getattr(args, name.replace("-", "_"))]
     return (
         str(args.scene),
         *flags,

@@ -116,6 +116,12 @@ def scene_parser(command: str, description: str) -> Parser:
         metavar="SIZE",
         help="acceleration structures of meshes may take so much, for example 2G",
     )
+    memory = (
+        "light-paths: what the process that renders by Cycles on the CPU may take, for example 8G; where it takes "
+        "more, what changes the picture least per byte goes, too, and what that changes is reported"
+    )
+    culling.add_argument("--memory", type=byte_count, metavar="SIZE", help=memory)
+    culling.add_argument("--process", type=byte_count, help=argparse.SUPPRESS)  # takes so much before it renders
     general = parser.add_argument_group("general")
     crops = (
         "measure the error too: so many of 12 parts of the picture, picked at random, are rendered full and "
@@ -143,7 +149,7 @@ def cull_options(args: argparse.Namespace) -> CullOptions:
     own = POLICIES[args.cull].setting
     given["setting"] = None if own is None else getattr(args, own.name)
     given["max_error"] = Budget.parse(f"{DEFAULT_BUDGET.mean}" if args.max_error is None else args.max_error, spread)
-    given["blas_budget_bytes"] = args.blas_budget
+    given["blas_budget_bytes"], given["memory"] = args.blas_budget, args.memory
     said = {name: value for name, value in given.items() if value is not None}
     return CullOptions(
         policy=args.cull,
@@ -187,6 +193,7 @@ def check(args: argparse.Namespace) -> None:
         raise InputError(
             "--enforce keeps to --max-error: it goes with --cull light-paths, without --min-share and --warm"
         )
+    check_memory(args)
     check_device(args)
     if args.verify and args.cull == "none":
         raise InputError("--verify measures what culling changes: with --cull none nothing does")
@@ -194,6 +201,20 @@ def check(args: argparse.Namespace) -> None:
         raise InputError(f"no such file: {args.scene}")
     cull_options(args)
     output_folder(args.output)
+
+
+def check_memory(args: argparse.Namespace) -> None:
+    """Raise InputError where memory is limited together with what decides otherwise, or takes more."""
+    if args.memory is None:
+        return
+    if args.scene is None:
+        raise InputError("--memory has another process look at the scene: name its file as SCENE")
+    if getattr(args, "engine", "cycles") not in ("", "cycles") or getattr(args, "as_scene", False):
+        raise InputError("--memory is of renders by --engine cycles")
+    if args.cull != LIGHT_PATHS or args.min_share is not None or args.blas_budget or args.warm:
+        raise InputError("--memory goes on from --max-error: leave --cull, --min-share, --blas-budget and --warm out")
+    if args.bake == "shot" or args.verify:
+        raise InputError("--memory is for frames that decide by themselves: leave --bake shot and --verify out")
 
 
 def check_device(args: argparse.Namespace) -> None:

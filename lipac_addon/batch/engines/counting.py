@@ -29,6 +29,11 @@ class Counted:
     seconds: float = 0.0
     weighed: list[Weighed] = field(default_factory=list)
 
+    def figures(self, process: int) -> dict[str, int]:
+        """What the process that renders is predicted to take. process: what it takes before."""
+        found = [one.figures(process) for one in self.weighed]
+        return max(found, key=lambda figures: figures["memory_bytes"], default={})
+
     def memory(self, frame: int) -> list[MemoryRow]:
         """Who takes the memory of the render."""
         return [row for one in self.weighed for row in replace(one, frame=frame).rows()]
