@@ -1,5 +1,7 @@
-"""A terrain that is one object, the camera near its ground: `python -m lipac.scripts.studies.memory.terrain FILE.blend N`,
-N x N vertices."""
+"""A terrain that is one object, the camera near its ground.
+
+`python -m lipac.scripts.studies.memory.terrain FILE.blend N`: N x N vertices.
+"""
 
 from __future__ import annotations
 

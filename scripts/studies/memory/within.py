@@ -145,11 +145,11 @@ def page(data: dict[str, Row]) -> str:
                 )
             )
     text = (
-        f"{kept} of {targets} renders within their target; {used} of them take at least {100 * USED:.0f} % of it. "
-        f"Targets: {', '.join(f'{100 * s:.0f} %' for s in SHARES)} of the way from the least that a scene can take to "
+        f"{kept} of {targets} renders within their target; {used} of them take at least {100 * USED:.0f} % of it.\n"
+        f"Targets: {', '.join(f'{100 * s:.0f} %' for s in SHARES)} of the way from the least that a scene can take to\n"
         f"all of it, with `{' '.join(EXACT)}`."
     )
-    head = f"`python -m lipac.scripts.studies.memory.within` on {machine()}."
+    head = f"`python -m lipac.scripts.studies.memory.within` on\n{machine()}."
     return "\n\n".join([head, markdown(full), markdown(rows), text]) + "\n"
 
 
