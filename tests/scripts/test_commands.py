@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import lipac
+from lipac.core.culling.policies import RULES
 from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.lipac import main
 
@@ -96,12 +97,7 @@ def test_render_from_a_shell(blend, tmp_path):
     names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
     pictures = [f"frame_000{k}.{end}" for k in (1, 2) for end in ("exr", "png")]
     assert names == [
-        *pictures,
-        "memory.csv",
-        "report.html",
-        "report.json",
-        "states/frame_0001.npz",
-        "states/frame_0002.npz",
+        *pictures, "memory.csv", "report.html", "report.json", "states/frame_0001.npz", "states/frame_0002.npz"
     ]
     check_report(folder)
     report = json.loads((folder / "report.json").read_text())
@@ -129,28 +125,15 @@ def test_render_from_a_shell(blend, tmp_path):
     assert before == (hashlib.sha256(blend.read_bytes()).hexdigest(), sorted(p.name for p in blend.parent.iterdir()))
 
 
-@pytest.mark.parametrize("policy", ["frustum", "distance", "solid-angle"])
+@pytest.mark.parametrize("policy", [name for name, policy in RULES.items() if policy.listed])
 def test_analyze_by_policy(blend, tmp_path, policy, capfd):
-    assert (
-        main(
-            [
-                "analyze",
-                str(blend),
-                "-o",
-                str(tmp_path),
-                "--cull",
-                policy,
-                "--distance",
-                "15",
-                "--solid-angle",
-                "5",
-                "--quiet",
-            ]
-        )
-        == 0
-    )
+    """Each of the rules that users are offered, by its own option."""
+    setting = RULES[policy].setting
+    value = 0.8 * setting.default
+    arguments = ["analyze", str(blend), "-o", str(tmp_path), "--cull", policy, setting.option, str(value), "--quiet"]
+    assert main(arguments) == 0
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["policy"] == policy
+    assert (report["policy"], report["options"]["setting"]) == (policy, value)
     assert 0 < report["frames"][0]["active"] <= 40
     assert report["frames"][0]["render_s"] == 0
     assert not list(tmp_path.glob("*.png"))

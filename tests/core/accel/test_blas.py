@@ -14,6 +14,7 @@ from lipac.core.accel.embree import Device
 from lipac.core.accel.tlas import Tlas
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.options import CullOptions
+from lipac.core.culling.policies import RULES, Policy
 from lipac.core.culling.shot import Shot
 from lipac.core.errors import InputError
 from lipac.core.scene import model as s
@@ -220,14 +221,20 @@ def test_bytes_by_count_are_near_those_that_are_measured() -> None:
     np.testing.assert_allclose(cache.counted_bytes[1:], cache.bytes_of[1:], rtol=0.34)
 
 
-@pytest.mark.parametrize("policy", ["distance", "frustum", "solid-angle"])
-def test_heuristics_hold_no_more_than_they_keep(policy: str) -> None:
-    """A camera that passes a row of different things: what is behind is freed."""
+@pytest.mark.parametrize("policy", RULES.values(), ids=list(RULES))
+def test_heuristics_hold_no_more_than_they_keep(policy: Policy) -> None:
+    """A camera that passes a row of different things: what is culled is freed."""
+    assert policy.keep is not None and policy.setting is not None
     meshes = [scenes.sphere(rings) for rings in range(4, 24)]
     placement = [(k, scenes.placed((0, 6.0 * k, 0)), 0) for k in range(len(meshes))]
-    shot = Shot(CullOptions(policy=policy, setting={"distance": 10.0, "solid-angle": 10.0}.get(policy)))
-    for y in range(-5, 110, 12):
-        scene = scenes.build(meshes, placement, camera=scenes.look_at((0, y, 1), (0, y + 5, 0)))
+    row = [
+        scenes.build(meshes, placement, camera=scenes.look_at((0, y, 1), (0, y + 5, 0))) for y in range(-5, 110, 12)
+    ]
+    ladder = policy.setting.ladder(row[-1])
+    shares = np.array([policy.keep(row[-1], x).mean() for x in ladder])
+    setting = float(ladder[np.abs(shares - 0.5).argmin()])  # which keeps nearest to half of them
+    shot = Shot(CullOptions(policy=policy.name, setting=setting))
+    for scene in row:
         stats = shot.advance(scene, Change(None, None, NONE, NONE, False, True)).stats
         assert stats["blas_held_bytes"] == stats["blas_bytes"]
     assert stats["culled"] > 5

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
+from lipac.core.culling.policies import NOTHING, POLICIES
 from lipac.lipac_addon.ui import panel
 from lipac.lipac_addon.ui.draw import figures
 from lipac.lipac_addon.ui.jobs import engine, job, live
@@ -33,7 +34,7 @@ def drawn(capfd):
 PANELS = panel._CLASSES
 
 
-@pytest.mark.parametrize("policy", ["light-paths", "frustum", "distance", "solid-angle"])
+@pytest.mark.parametrize("policy", [name for name, policy in POLICIES.items() if policy.listed and name != NOTHING])
 def test_before_an_analysis(scene, drawn, policy):
     scene.lipac.policy = policy
     texts = [drawn(cls) for cls in PANELS]
