@@ -47,7 +47,7 @@ class ViewportCulling:
         self._whom: tuple[object, ...] = ()
         self._made = self.switches.out  # by the last decision
         self._cursor: tuple[float, ...] = ()
-        self._next = self._went = self._seen = 0.0
+        self._next = self._soon = self._went = self._seen = 0.0  # soon: what matters does not wait longer
         self._sight: Foresight | None = None
         self._foreseen: list[tuple[float, I64]] = []  # until when they stay, and which
         self._pose: tuple[float, ...] = ()
@@ -106,7 +106,7 @@ class ViewportCulling:
         lazy = resting or now > self._went + PATIENCE  # things may go
         anew = self._fresh or (self._waits and lazy) or cursor != self._cursor
         due = now >= self._next
-        if result is None or not self._settled or not anew or not (due or self._urgent):
+        if result is None or not self._settled or not anew or not (due or (self._urgent and now >= self._soon)):
             return False
         self._fresh, self._waits, self._urgent, self._cursor = False, False, False, cursor
         self._next = max(self._next, now + INTERVAL)
@@ -125,7 +125,8 @@ class ViewportCulling:
         self.switches.change(layer, wanted, lambda uid: self._places_of(result, uid))
         self._made = self.switches.out
         self._appearing(scene.camera, result)  # what is seen now is known
-        self._next = time.monotonic() + max(INTERVAL, DUTY * (time.monotonic() - start))
+        end, took = time.monotonic(), time.monotonic() - start
+        self._next, self._soon = end + max(INTERVAL, DUTY * took), end + took
         self.message = f"shows {_shown(wanted, result):,} of {len(result.state):,} instances"
         return True
 
