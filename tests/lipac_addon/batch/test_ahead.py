@@ -84,6 +84,8 @@ def test_when_it_is_done(monkeypatch):
         "enforce": False,
         "warm": True,
         "no_mitigation": False,
+        "no_parts": False,
+        "memory": None,
     }
     plain |= {
         "resolution": (64, 36),
@@ -112,3 +114,9 @@ def test_when_it_is_done(monkeypatch):
     assert arguments(cull="frustum") == arguments(bake="shot") == arguments(enforce=True) == ()
     off[0] = False
     assert arguments(ahead=True) == expected
+    assert arguments(ahead=False, memory=8_000, no_parts=True)[1:4] == ("--warm", "--no-parts", "--resolution")
+    assert "8000" in arguments(memory=8_000)
+    off[0] = True
+    with pytest.raises(InputError, match="add --device cpu"):
+        arguments(memory=8_000)
+    off[0] = False
