@@ -88,8 +88,15 @@ def apply(analysis: Decided) -> WritebackResult:
 
     Returns which instances a render no longer meets, and why others could not be removed. Nothing is written to disk;
     the viewport stays as it is. All or nothing: where something fails half-way, it raises that, and nothing is applied.
+
+    Raises `InputError` where the open scene renders several views (Stereoscopy): one camera is analysed.
     """
+    import bpy
+
     from .writeback import apply as write
+
+    if bpy.context.scene.render.use_multiview:
+        raise InputError("Stereoscopy renders from several cameras, of which one is analysed: switch it off")
 
     return write(analysis.state == State.CULLED, analysis.keys)
 

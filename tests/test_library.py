@@ -70,6 +70,10 @@ def test_a_scene_is_culled_and_taken_back(boxes: bpy.types.Scene) -> None:  # no
     lipac.apply(again)
     assert lipac.restore()
     assert not any(ob.hide_render for ob in bpy.data.objects)
+    boxes.render.use_multiview = True
+    with pytest.raises(lipac.InputError, match="several cameras"):
+        lipac.apply(again)
+    assert not any(ob.hide_render for ob in bpy.data.objects)
 
 
 def test_what_cannot_be_analysed_is_said(boxes: bpy.types.Scene, tmp_path: Path) -> None:  # noqa: F811

@@ -38,7 +38,7 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     finished = {frame for frame in reported or () if job.resume and job.is_finished(frame)}
     _sweep(job, keep_analyses=reported is not None and (job.resume or bool(job.shot)))
     report.note(report.approximated, left_out(bpy.context.scene, job.engine, job.as_scene))
-    if job.as_scene and bpy.context.scene.render.use_multiview and not job.whole:
+    if bpy.context.scene.render.use_multiview and (job.as_scene or not job.engine) and not job.whole:
         job = replace(job, options=replace(job.options, policy=NOTHING))
         report.note(report.warnings, [STEREO])
     if job.engine == "cycles" and (note := find_device(bpy.context.scene, job.device).note):

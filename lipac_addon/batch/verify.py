@@ -34,7 +34,9 @@ from .engines.choices import AS_SET, DeviceChoice
 
 GRID = (4, 3)  # crops of a picture, across and up: each has 4 x 3 coarse tiles
 PATH_SAMPLES = 64  # of the path tracer, at most
+PATH_BYTES = 1 << 30  # of what is kept of paths at a time
 PATH_SEED = 0x766572  # so that its random numbers are never those of an analysis
+_OF_A_PATH = 13  # bytes: its mark, and its light
 NORMAL = NormalDist()
 NOISE = 3.0  # standard errors: what is above a bound by less may be noise
 Crop = tuple[int, int]
@@ -191,12 +193,20 @@ def _path_crops(
     loop = Loop(scene, CullOptions(width=width, seed=seed ^ PATH_SEED, threads=threads), cancelled)
     columns, rows = np.arange(width) * GRID[0] // width, np.arange(height) * GRID[1] // height
     places = [np.ix_(rows == y, columns == x) for x, y in crops]
-    only = np.zeros((height, width, min(samples, PATH_SAMPLES)), np.uint8)
+    samples = min(samples, PATH_SAMPLES)
+    at_once = min(samples, max(PATH_BYTES // (height * width * _OF_A_PATH), 1))
+    only = np.zeros((height, width, at_once), np.uint8)
     for place in places:
         only[place] = 1
-    full, culled = (
-        loop.tracer.trace_paths(keep, 0, only)[0] for keep in (loop.activation.exists, active & loop.activation.exists)
-    )
+
+    def traced(keep: NDArray[np.bool_]) -> F32:
+        total = np.zeros((height, width, 4), np.float32)
+        for first in range(0, samples, at_once):
+            marks = only[:, :, : samples - first]
+            total += loop.tracer.trace_paths(keep, first, np.ascontiguousarray(marks))[0] * marks.shape[2]
+        return total / samples
+
+    full, culled = traced(loop.activation.exists), traced(active & loop.activation.exists)
     return [full[place] for place in places], [culled[place] for place in places]
 
 

@@ -89,11 +89,11 @@ def device(text: str) -> DeviceChoice:
 
 
 def byte_count(text: str) -> int:
-    """Bytes of '2G', '500M', '64k' or '1000000': powers of 1000, or of 1024 with an i, as in '2Gi'. Raises
-    ArgumentTypeError."""
+    """Bytes of '2G', '500M', '64k' or '1000000': powers of 1000, or of 1024 with an i, as in '2Gi'. Less than 1,000 is
+    a size whose unit was forgotten. Raises ArgumentTypeError."""
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?", text.strip().lower())
     size = float(found[1]) * (1024 if found[3] else 1000) ** " kmgt".index(found[2] or " ") if found else 0.0
-    if not found or (found[3] and not found[2]) or not 1 <= size < 2**63:
+    if not found or (found[3] and not found[2]) or not 1000 <= size < 2**63:
         raise argparse.ArgumentTypeError(
             f"'{text}' is no size: give a number of bytes, or one with k, M or G, for example 500M or 2G"
         )

@@ -164,6 +164,7 @@ BAD = [
     (["--bake", "shot", "--save", "nowhere/x.blend"], "no such folder"),
     (["--bake", "x"], "invalid choice"),
     (["--blas-budget", "much"], "is no size"),
+    (["--blas-budget", "2"], "is no size"),
     (["--no-mitigation"], "--warm"),
     (["--verify", "13"], "1 to 12"),
     (["--verify", "2", "--bake", "shot"], "--bake frame"),
@@ -194,10 +195,10 @@ def test_sizes():
         "2Gi": 2**31,
         "1.5g": 1_500_000_000,
         "10MB": 10_000_000,
-        "123": 123,
+        "1234": 1234,
     }
     assert {text: byte_count(text) for text in good} == good
-    for text in ("", "G", "-1", "2X", "1e9", "0", "2i", "99999999T", "1 2"):
+    for text in ("", "G", "-1", "2X", "1e9", "0", "2i", "99999999T", "1 2", "2", "512", "0.5k"):
         with pytest.raises(Exception, match="is no size"):
             byte_count(text)
 

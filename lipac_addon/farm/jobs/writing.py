@@ -44,6 +44,11 @@ def write_shot(folder: Path, scene: Path, wanted: Wanted) -> FarmShot:
             "LiPaC's culling is applied in the file: restore first, for frames are rendered in full, too, to compare"
         )
     opened = bpy.context.scene
+    if opened.render.use_multiview:
+        raise InputError(
+            f"scene '{opened.name}' is rendered from several cameras (Stereoscopy), of which one is analysed: switch "
+            "that off, or render it without culling"
+        )
     if not wanted.frames and opened.frame_step != 1:
         raise InputError(
             f"scene '{opened.name}' renders one frame in {opened.frame_step}: give frames without gaps, or set its "

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -160,10 +162,17 @@ def test_damaged_kernels_are_compiled_again(tmp_path: Path) -> None:
     (tmp_path / "kernel.py").write_text(KERNEL)
     environment = {**os.environ, "LIPAC_CACHE_DIR": str(tmp_path / "cache")}
 
-    def run() -> str:
+    def full_disk() -> None:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    def run(limit: Callable[[], None] | None = None) -> str:
         done = subprocess.run(
-            [sys.executable, "-c", SUM, str(tmp_path / "kernel.py")],
+            [sys.executable, "-B", "-c", SUM, str(tmp_path / "kernel.py")],
             env=environment,
+            preexec_fn=limit,
             capture_output=True,
             text=True,
             check=True,
@@ -180,3 +189,6 @@ def test_damaged_kernels_are_compiled_again(tmp_path: Path) -> None:
         for damaged in (b"", data[: len(data) // 2], bytes(changed) if path.suffix == ".nbc" else b"anything"):
             path.write_bytes(damaged)
             assert (run(), run()) == ("6 0", "6 1"), (path.suffix, len(damaged))
+    if sys.platform != "win32":
+        shutil.rmtree(tmp_path / "cache")
+        assert (run(full_disk), run(full_disk)) == ("6 0", "6 0")

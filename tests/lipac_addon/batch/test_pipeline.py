@@ -15,8 +15,10 @@ from lipac.core.files.report import Report, load_states
 from lipac.lipac_addon.batch import shot
 from lipac.lipac_addon.batch.engines.hybrid_frame import HybridOptions
 from lipac.lipac_addon.batch.job import FRAME, SHOT, Job
-from lipac.lipac_addon.batch.pipeline import run
+from lipac.lipac_addon.batch.pipeline import STEREO, run
+from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
+from lipac.lipac_addon.writeback import apply
 
 DISTANCE = CullOptions(policy="distance", setting=19.5)  # the boxes behind the wall are further
 
@@ -100,6 +102,27 @@ def test_all_view_layers_that_render_are_analysed(layers, tmp_path, engine, bake
     run(alone, r)
     assert not {"box4", "box7"} & stays(tmp_path / "one" / "states" / "frame_0001.npz")
     assert any("view layers" in line for line in r.approximated)
+
+
+@pytest.mark.parametrize(("engine", "culled"), [("", 0), ("cycles", 4)])
+def test_an_analysis_of_several_views_culls_nothing(boxes, tmp_path, engine, culled):
+    """It may be for a file that renders them all; a picture of the command's own is of one."""
+    boxes.render.use_multiview = True
+    r = report()
+    run(Job(tmp_path, (1,), DISTANCE, engine, samples=1), r)
+    assert r.frames[0]["culled"] == culled
+    assert (STEREO in r.warnings) == (not engine)
+
+
+def test_a_file_that_is_culled_already(boxes, tmp_path):
+    """By an earlier version, or with an object that was appended: all is shown before it is looked at."""
+    keys = extract_frame(boxes).keys
+    apply(np.arange(len(keys.records)) % 2 == 0, keys)
+    assert any(ob.hide_render for ob in bpy.data.objects)
+    r = report()
+    run(Job(tmp_path, (1,), DISTANCE), r)
+    assert (r.frames[0]["instances"], r.frames[0]["culled"]) == (10, 4)
+    assert not any(ob.hide_render for ob in bpy.data.objects)
 
 
 def test_a_rule_reads_no_mesh_for_blenders_engines(boxes, tmp_path, monkeypatch):

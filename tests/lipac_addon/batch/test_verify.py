@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
 import numpy as np
 import pytest
 
+from lipac.core.arrays import F32
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation.judge import picture_change
 from lipac.core.files.report import Report
 from lipac.core.page.pictures import of_crops
 from lipac.lipac_addon.batch import enforcing, session
+from lipac.lipac_addon.batch import verify as verifying
 from lipac.lipac_addon.batch.job import Job
 from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.batch.verify import GRID, Verified, change, random_crops
@@ -41,6 +44,46 @@ def test_all_crops_measure_what_the_whole_pictures_show(boxes: Any, tmp_path: Pa
     assert len(culled["verified_crops"]) == ALL
     assert "verified_mean" not in frames["full"]
     assert not any(ob.hide_render for ob in bpy.data.objects) and not bpy.context.scene.render.use_border
+
+
+class Noise:
+    """In place of a tracer: the light of a path is noise by seed and sample."""
+
+    def __init__(self, scene: Any, options: CullOptions, _cancelled: Any) -> None:
+        self.seed, self.sizes = options.seed, (scene.film.height, options.width)
+        self.tracer, self.activation = self, SimpleNamespace(exists=np.ones(1, bool))
+        self.traced: list[tuple[int, int]] = []
+        Noise.last = self
+
+    last: Noise
+
+    def trace_paths(self, _keep: Any, first: int, only: Any) -> tuple[F32, None]:
+        assert only.flags.c_contiguous and only.all()
+        self.traced.append((first, only.shape[2]))
+        drawn = [np.random.default_rng([self.seed, first + k]).random((*self.sizes, 4)) for k in range(only.shape[2])]
+        return np.mean(drawn, axis=0).astype(np.float32), None
+
+
+def test_paths_of_a_verification_are_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By other random numbers than an analysis of the same seed, whose picture may be as large. What is kept of them at
+    a time is limited, and changes nothing but that."""
+    monkeypatch.setattr(verifying, "Loop", Noise)
+    scene: Any = SimpleNamespace(film=SimpleNamespace(height=36, width=64))
+
+    def crops(samples: int, at_once: int) -> F32:
+        monkeypatch.setattr(verifying, "PATH_BYTES", 36 * 64 * 13 * at_once)
+        found = verifying._path_crops(scene, np.ones(1, bool), samples, 7, 0, random_crops(ALL, 0), lambda: False)
+        np.testing.assert_array_equal(*found)
+        return np.concatenate(found[0])
+
+    whole = crops(5, 5)
+    assert Noise.last.seed != 7
+    assert Noise.last.traced == [(0, 5)] * 2
+    np.testing.assert_allclose(crops(5, 2), whole, rtol=1e-5)
+    assert Noise.last.traced == [(0, 2), (2, 2), (4, 1)] * 2
+    np.testing.assert_allclose(crops(5, 0), whole, rtol=1e-5)
+    crops(10_000, 10_000)
+    assert Noise.last.traced == [(0, verifying.PATH_SAMPLES)] * 2
 
 
 def test_nothing_culled_measures_as_nothing(boxes: Any, tmp_path: Path) -> None:

@@ -70,13 +70,21 @@ def test_what_stands_in_its_way(saved: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"), [("film", "choose PNG or OpenEXR"), ("step", "one frame in 2"), ("camera", "has no camera")]
+    ("change", "says"),
+    [
+        ("film", "choose PNG or OpenEXR"),
+        ("step", "one frame in 2"),
+        ("views", "several cameras"),
+        ("camera", "has no camera"),
+    ],
 )
 def test_what_cannot_be_a_shot(saved: Any, tmp_path: Path, change: str, says: str) -> None:
     if change == "film":
         saved.render.image_settings.media_type = "VIDEO"
     elif change == "step":
         saved.frame_step = 2
+    elif change == "views":
+        saved.render.use_multiview = True
     else:
         saved.camera = None
     with pytest.raises(InputError, match=says):

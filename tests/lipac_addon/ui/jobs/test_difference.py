@@ -82,7 +82,9 @@ def test_the_image_outlives_the_undo_of_a_later_edit(analyzed, monkeypatch):
 
 def test_a_render_that_fails_is_one_line(analyzed, monkeypatch, tmp_path, capfd):
     broken = tmp_path / "broken.py"
-    broken.write_text("raise SystemExit('no such thing')")
+    # what Blender says need be no UTF-8, nor in the encoding of the locale: here a name in Latin-1
+    words = "sys.stdout.buffer.write(b'caf\\xe9.blend\\n'); sys.stdout.flush()"
+    broken.write_text(f"import sys; {words}; raise SystemExit('no such thing')")
     monkeypatch.setattr(difference, "_CHILD", broken)
     with pytest.raises(RuntimeError, match="full render failed"):
         bpy.ops.lipac.difference()
