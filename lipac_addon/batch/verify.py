@@ -204,7 +204,8 @@ def _path_crops(
         for first in range(0, samples, at_once):
             marks = only[:, :, : samples - first]
             total += loop.tracer.trace_paths(keep, first, np.ascontiguousarray(marks))[0] * marks.shape[2]
-        return total / samples
+        total /= samples
+        return total
 
     full, culled = traced(loop.activation.exists), traced(active & loop.activation.exists)
     return [full[place] for place in places], [culled[place] for place in places]
