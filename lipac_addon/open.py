@@ -102,6 +102,17 @@ def missing_libraries() -> list[str]:
     return [f"linked library is missing: {library.filepath}" for library in bpy.data.libraries if library.is_missing]
 
 
+def linked_files() -> list[Path]:
+    """The library files that the open file links, directly or through other libraries; without packed ones."""
+    return sorted(
+        {
+            Path(bpy.path.abspath(library.filepath, library=library.parent))
+            for library in bpy.data.libraries
+            if not library.packed_file
+        }
+    )
+
+
 def _check_files() -> None:
     """Raise InputError where the open file reads a pipe or a device as a picture: whoever reads that waits for ever."""
     for image in bpy.data.images:

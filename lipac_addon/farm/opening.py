@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
 import bpy
 
 from ...core.errors import InputError
+from ...core.files.digest import digest
 from ..console import muted
-from ..open import open_scene
+from ..open import linked_files, open_scene
 from .layout import FarmShot
 from .render_frames import use_settings
 
@@ -21,7 +21,7 @@ def open_shot(shot: FarmShot) -> None:
     """Open the scene, with the size and samples that are asked for. Raises InputError where it is not what the job was
     written for, or cannot be read."""
     open_scene(shot.scene)
-    if digest(shot.scene) != shot.digest:
+    if digest_of(shot.scene) != shot.digest:
         raise InputError(
             f"{shot.scene}, or a library of it, has changed since the job was written: write it again by lipac farm"
         )
@@ -29,27 +29,9 @@ def open_shot(shot: FarmShot) -> None:
         use_settings(bpy.context.scene, shot._asked)
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a .blend that is open, and of the libraries that it links: one that is missing counts as such."""
-    found = hashlib.sha256()
-    for each in (path, *linked_files()):
-        if not each.is_file():
-            found.update(b"missing")
-            continue
-        with each.open("rb") as file:
-            hashlib.file_digest(file, lambda: found)
-    return found.hexdigest()
-
-
-def linked_files() -> list[Path]:
-    """The library files that the open file, or one of these, links."""
-    return sorted(
-        {
-            Path(bpy.path.abspath(library.filepath, library=library.parent))
-            for library in bpy.data.libraries
-            if not library.packed_file
-        }
-    )
+def digest_of(path: Path) -> str:
+    """SHA-256 of a .blend that is open and of the libraries that it links; a missing one counts as missing."""
+    return digest(path, *linked_files())
 
 
 def picture_ending(scene: Any) -> str:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from ...core.culling.policies import LIGHT_PATHS
 from ...core.errors import InputError
+from ...core.files.digest import digest
 from ...core.threads import processors
 from ...core.warmup import load_ahead, telling
 from ...version import __version__
-from .digest import digest
 from .interrupt import ctrl_c
 from .last_words import last_words
 from .options import check, check_device, cull_options
@@ -213,6 +213,7 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
     from ...core.files.report import Report
     from ...lipac_addon.batch.engines.choices import AS_SET
     from ...lipac_addon.batch.job import SHOT
+    from ...lipac_addon.open import linked_files
 
     scene, path = bpy.context.scene, args.scene or bpy.data.filepath
     options: dict[str, Any] = {
@@ -243,16 +244,3 @@ def new_report(args: argparse.Namespace, job: Job) -> Report:
         options["frames"] = [together[0], together[-1]]
     threads = args.threads or processors()
     return Report(str(path), bpy.app.version_string, __version__, args.cull, job.engine, args.seed, threads, options)
-
-
-def linked_files() -> list[Path]:
-    """The library files that the open file, or one of these, links."""
-    import bpy
-
-    return sorted(
-        {
-            Path(bpy.path.abspath(library.filepath, library=library.parent))
-            for library in bpy.data.libraries
-            if not library.packed_file
-        }
-    )

@@ -76,7 +76,7 @@ class Plan:
 
     def options(self) -> dict[str, Any]:
         """All that a record depends on, but for its seed."""
-        from ..command.digest import digest
+        from ...core.files.digest import digest
 
         sources = sorted([*(ROOT / "core").rglob("*.py"), *(ROOT / "lipac_addon").rglob("*.py")])
         return {

@@ -15,7 +15,7 @@ from ....core.files.report import output_folder
 from ...writeback.marks import all_marks
 from .. import render_frames
 from ..layout import SCRIPT, FarmShot
-from ..opening import digest, picture_ending
+from ..opening import digest_of, picture_ending
 
 FRAMES_TO_A_CHECK = 25  # so that a shot of 250 frames is measured in 10
 
@@ -59,7 +59,7 @@ def write_shot(folder: Path, scene: Path, wanted: Wanted) -> FarmShot:
     shot = FarmShot(
         folder.resolve(),
         scene.resolve(),
-        digest(scene),
+        digest_of(scene),
         frames[0],
         frames[-1],
         *(wanted.budget.mean, wanted.budget.worst, wanted.paths, wanted.seed, wanted.resolution, wanted.samples),

@@ -25,7 +25,7 @@ import numpy as np
 from ....core.errors import InputError
 from ....core.evaluation.metrics import flip, relative_mse
 from ....core.files.atomic import replacing
-from ...command.digest import digest
+from ....core.files.digest import digest
 from ...evaluate import SUPPLIED
 from ..compare import lipac, pictures
 from . import report

@@ -1,4 +1,4 @@
-"""A digest of what files hold."""
+"""A digest of the contents of files."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 
 
 def digest(*paths: Path) -> str:
-    """SHA-256 of the contents of files, one after the other; what is no file counts as such. "" where the first is
-    none."""
+    """SHA-256 of the contents of files, one after the other, as hexadecimal text. A path that is no file counts as
+    missing; "" where the first is none."""
     if not paths[0].is_file():
         return ""
     found = hashlib.sha256()
