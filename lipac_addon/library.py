@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .batch.deciding import Decided
     from .writeback import WritebackResult
 
-_EVEN = 1.0  # spread of an error over the tiles of a hybrid picture, which shows what is culled all the same
+_EVEN = 1.0  # spread of an error over the tiles of a picture that shows what is culled all the same
 
 
 @overload
@@ -142,7 +142,7 @@ def render(
 
     if engine not in ENGINES:
         raise InputError(f"no engine '{engine}'; choose one of {', '.join(ENGINES)}")
-    wanted = _options(max_error, options, _EVEN if engine == "hybrid" else SPREAD)
+    wanted = _options(max_error, options, _EVEN if ENGINES[engine].shows_culled else SPREAD)
     folder = output_folder(Path(output))
     job = Job(folder, tuple(frames) or (opened.frame_current,), wanted, engine, samples, wanted.seed, wanted.threads)
     report = Report(

@@ -20,7 +20,8 @@ def main(argv: Sequence[str]) -> int:
     parser = scene_parser(
         "render", "Cull a scene by its light paths and render it: pictures, states per frame and report.json."
     )
-    engines = "default: cycles; path: the path tracer of the analysis; hybrid: EEVEE and it together"
+    described = (f"{engine.name}: {engine.description}" for engine in ENGINES.values() if engine.description)
+    engines = "; ".join(("default: cycles", *described))
     parser.add_argument("--engine", choices=ENGINES, help=engines)
     scene = (
         "render by the scene's own engine to its own files, as blender -b -f does: format, passes, layers, "

@@ -13,7 +13,7 @@ from ...core.culling.policies import NOTHING
 from ...core.errors import Cancelled
 from ...core.files.atomic import is_whole
 from .engines.as_scene import files_of
-from .engines.choices import AS_SET, BLENDER_ENGINES, DeviceChoice
+from .engines.choices import AS_SET, BLENDER_ENGINES, ENGINES, DeviceChoice
 from .engines.hybrid_frame import HybridOptions
 
 FRAME, SHOT = "frame", "shot"
@@ -33,7 +33,7 @@ def check(cancelled: Cancel) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """What to do with the open file. engine: one of `engines.ENGINES`, or "" to analyse only; samples: None as in the
+    """What to do with the open file. engine: one of `choices.ENGINES`, or "" to analyse only; samples: None as in the
     scene; threads: 0 for all.
 
     hybrid: for the engine of that name. bake: FRAME, each frame by itself, or SHOT, in all frames what any of them
@@ -87,11 +87,8 @@ class Job:
         """All pictures of a frame."""
         if self.as_scene:
             return files_of(bpy.context.scene, frame)
-        stem = self.stem(frame)
-        endings = [] if not self.engine else [".exr", ".png"]
-        return [
-            stem.with_name(stem.name + end) for end in [*endings, *(["_layers.exr"] if self.engine == "hybrid" else [])]
-        ]
+        endings = ENGINES[self.engine].endings if self.engine else ()
+        return [self.folder / f"{self.stem(frame).name}{ending}" for ending in endings]
 
     def is_finished(self, frame: int) -> bool:
         """Whether the folder has all files of a frame, each of them whole."""

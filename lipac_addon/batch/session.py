@@ -21,7 +21,7 @@ from ..depsgraph import rendered_layers
 from ..extract import Extraction, Extractor
 from ..keys import any_of
 from ..memory.limit import PROCESS, limited
-from .engines.choices import BLENDER_ENGINES
+from .engines.choices import BLENDER_ENGINES, ENGINES
 from .job import Cancel, Job, never
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ class Session:
         """layer: name, None takes the first that renders. keep: hold Blender's graph from frame to frame, where that
         pays: one at a time can."""
         self.job, self.layer = job, layer
-        # other engines make Blender free the graph
-        self.keep = keep and job.engine in ("", "path") and len(job.frames) > 1
+        renders = bool(job.engine) and ENGINES[job.engine].uses_blender
+        self.keep = keep and not renders and len(job.frames) > 1
         self._extractor: Extractor | None = None
         self._shot: Shot | None = None
         self._pinned: np.ndarray | None = None  # what the frame needs at other moments of its exposure

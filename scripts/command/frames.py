@@ -180,11 +180,11 @@ def _off_the_cpu(args: argparse.Namespace) -> bool:
     """Whether the command renders on a graphics card."""
     import bpy
 
-    from ...lipac_addon.batch.engines.choices import AS_SET, CPU
+    from ...lipac_addon.batch.engines.choices import AS_SET, BLENDER_ENGINES, CPU
     from ...lipac_addon.batch.engines.devices import find_device
 
     if args.engine != "cycles":
-        return bool(args.engine == "eevee")
+        return args.engine in BLENDER_ENGINES
     return find_device(bpy.context.scene, args.device or AS_SET).kind != CPU
 
 

@@ -5,23 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 from ...core.culling.options import DEFAULT_BUDGET, CullOptions
 from ...core.culling.policies import LIGHT_PATHS, POLICIES, RULES
 from ...core.error_budget.budget import SPREAD, Budget
 from ...core.errors import InputError
+from ...lipac_addon.batch.engines.choices import BLENDER_ENGINES, ENGINES
 from .arguments import byte_count, crop_count, frame_range, number, path_count, resolution, seed_number, thread_count
-
-if TYPE_CHECKING:
-    pass
-
-MOST_LINES = 20  # of a kind that a command prints
-HARDWARE = {
-    "eevee": "EEVEE is on the graphics card that the system's graphics driver gives it",
-    "hybrid": "paths are traced on the CPU, and EEVEE is on the graphics card that the driver gives it",
-    "path": "the path tracer is on the CPU",
-}
 
 
 class Parser(argparse.ArgumentParser):
@@ -142,9 +133,9 @@ def scene_parser(command: str, description: str) -> Parser:
 def cull_options(args: argparse.Namespace) -> CullOptions:
     """The culling options of a command line; what it does not say has the defaults of `core`.
 
-    A hybrid picture shows what is culled all the same, so no tile of it need change by more than the mean may.
+    Where a picture shows what is culled all the same, no tile of it need change by more than the mean may.
     """
-    spread = 1.0 if getattr(args, "engine", "") == "hybrid" else SPREAD
+    spread = 1.0 if _shows_culled(args) else SPREAD
     given = {name: getattr(args, name) for name in ("min_share", "paths")}
     own = POLICIES[args.cull].setting
     given["setting"] = None if own is None else getattr(args, own.name)
@@ -164,7 +155,14 @@ def cull_options(args: argparse.Namespace) -> CullOptions:
 def _by_parts(args: argparse.Namespace) -> bool:
     """Whether large meshes are culled by parts: where Blender renders them, and frames decide by themselves."""
     engine = getattr(args, "engine", "")
-    return not (args.no_parts or args.warm or engine in ("path", "hybrid") or (not engine and args.verify))
+    ours = bool(engine) and engine not in BLENDER_ENGINES
+    return not (args.no_parts or args.warm or ours or (not engine and args.verify))
+
+
+def _shows_culled(args: argparse.Namespace) -> bool:
+    """Whether the command renders by an engine whose pictures show what is culled all the same."""
+    engine = getattr(args, "engine", "")
+    return bool(engine) and ENGINES[engine].shows_culled
 
 
 def check(args: argparse.Namespace) -> None:
@@ -185,8 +183,9 @@ def check(args: argparse.Namespace) -> None:
         )
     if args.shot is not None and not (args.frames and set(args.frames) <= set(args.shot)):
         raise InputError("--shot goes with --frames that are a part of it")
-    if args.verify and (args.bake == "shot" or getattr(args, "engine", "") == "hybrid"):
-        raise InputError("--verify is for --bake frame, and for the engines cycles, eevee and path")
+    if args.verify and (args.bake == "shot" or _shows_culled(args)):
+        *some, last = (engine.name for engine in ENGINES.values() if not engine.shows_culled)
+        raise InputError(f"--verify is for --bake frame, and for the engines {', '.join(some)} and {last}")
     if args.enforce and not args.verify:
         raise InputError("--enforce acts on what --verify measures: give both")
     if args.enforce and (args.cull != "light-paths" or args.min_share is not None or args.warm):
@@ -221,6 +220,6 @@ def check_device(args: argparse.Namespace) -> None:
     """Raise InputError where a device is chosen for an engine that has no choice, or a texture cache for one that has
     none."""
     if getattr(args, "device", None) is not None and args.engine != "cycles":
-        raise InputError(f"--device chooses where Cycles renders; {HARDWARE[args.engine]}")
+        raise InputError(f"--device chooses where Cycles renders; {ENGINES[args.engine].hardware}")
     if getattr(args, "texture_cache", None) is not None and args.engine != "cycles":
-        raise InputError(f"--texture-cache is of Cycles; {HARDWARE[args.engine]}")
+        raise InputError(f"--texture-cache is of Cycles; {ENGINES[args.engine].hardware}")

@@ -44,7 +44,7 @@ def left_out(scene: bpy.types.Scene, engine: str, as_scene: bool = False) -> lis
         and not (render.use_compositing and scene.compositing_node_group)
     ):
         out.append(f"view layers: the picture is of '{used[0]}', of {len(used)} that were analysed")
-    if engine in ("hybrid", "path"):
+    if engine and engine not in BLENDER_ENGINES:
         if len(used := rendered_layers(scene)) > 1:
             out.append(f"view layers: '{used[0]}' alone is rendered, of {len(used)}")
         if render.use_freestyle:
