@@ -1,0 +1,56 @@
+"""What follows from the options of commands: of each engine, from its row of ENGINES."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from lipac.core.errors import InputError
+from lipac.lipac_addon.batch.engines.choices import BLENDER_ENGINES, ENGINES, DeviceChoice, Engine
+from lipac.scripts.command.options import check, check_device, cull_options, scene_parser
+
+
+def parsed(folder: Path, engine: str, *options: str) -> argparse.Namespace:
+    """Arguments of a command that renders an empty file by an engine."""
+    (folder / "scene.blend").touch()
+    args = scene_parser("render", "").parse_args([str(folder / "scene.blend"), "-o", str(folder / "out"), *options])
+    args.engine = engine
+    return args
+
+
+@pytest.fixture
+def added(monkeypatch: pytest.MonkeyPatch) -> str:
+    """An engine that has nothing but its row."""
+    row = Engine("mine", "one more", hardware="mine is on an abacus", shows_culled=True)
+    monkeypatch.setitem(ENGINES, row.name, row)
+    return row.name
+
+
+def test_an_added_engine_is_known_by_its_row(added: str, tmp_path: Path) -> None:
+    args = parsed(tmp_path, added)
+    check(args)
+    options = cull_options(args)
+    assert options.max_error.worst == options.max_error.mean  # for what is culled is shown all the same
+    assert not options.parts
+    with pytest.raises(InputError, match=r"^--verify is for --bake frame, and for the engines cycles, eevee and path$"):
+        check(parsed(tmp_path, added, "--verify"))
+    args.device = DeviceChoice("cpu")
+    with pytest.raises(InputError, match="mine is on an abacus"):
+        check_device(args)
+
+
+@pytest.mark.parametrize("engine", ENGINES.values(), ids=list(ENGINES))
+def test_each_engine_is_treated_as_its_row_says(engine: Engine, tmp_path: Path) -> None:
+    options = cull_options(parsed(tmp_path, engine.name))
+    assert options.max_error.worst == options.max_error.mean * (1 if engine.shows_culled else 5)
+    assert options.parts == (engine.name in BLENDER_ENGINES)
+    args = parsed(tmp_path, engine.name)
+    args.device = DeviceChoice("cpu")
+    if engine.name == "cycles":
+        check_device(args)
+        return
+    assert engine.hardware
+    with pytest.raises(InputError, match=engine.hardware):
+        check_device(args)
