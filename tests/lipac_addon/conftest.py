@@ -1,5 +1,7 @@
 """A small scene that most tests of Blender's side can use."""
 
+from pathlib import Path
+
 import bpy
 import pytest
 
@@ -27,6 +29,22 @@ def ground_and_boxes() -> None:
     render.engine, render.resolution_x, render.resolution_y, render.resolution_percentage = "CYCLES", 64, 36, 100
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 2, False, False
     scene.cycles.max_bounces = 2
+
+
+def save_rising(folder: Path) -> Path:
+    """The same, whose camera goes up from frame 1 to 6 and then sees over the wall, as a .blend in a folder; its
+    path."""
+    ground_and_boxes()
+    camera = bpy.context.scene.camera
+    for frame, height, tilt in ((1, 5.0, 1.25), (6, 60.0, 0.26)):
+        camera.location.z, camera.rotation_euler.x = height, tilt
+        camera.keyframe_insert("location", frame=frame)
+        camera.keyframe_insert("rotation_euler", frame=frame)
+    bpy.context.scene.frame_end = 6
+    path = folder / "rising.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return path
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.command.arguments import byte_count
 from lipac.scripts.lipac import main
 
-from ..lipac_addon.conftest import ground_and_boxes
+from ..lipac_addon.conftest import save_rising
 from ..processes import INTERRUPTIBLE
 
 SMALL = ["--samples", "1", "--resolution", "32x18", "--paths", "1", "--quiet"]
@@ -28,16 +28,7 @@ POSIX = pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 @pytest.fixture(scope="module")
 def blend(tmp_path_factory):
     """The boxes, whose camera goes up from frame 1 to 6 and then sees over the wall; as a .blend."""
-    ground_and_boxes()
-    camera = bpy.context.scene.camera
-    for frame, height, tilt in ((1, 5.0, 1.25), (6, 60.0, 0.26)):
-        camera.location.z, camera.rotation_euler.x = height, tilt
-        camera.keyframe_insert("location", frame=frame)
-        camera.keyframe_insert("rotation_euler", frame=frame)
-    path = tmp_path_factory.mktemp("scene") / "rising.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    return path
+    return save_rising(tmp_path_factory.mktemp("scene"))
 
 
 def started(*arguments):

@@ -12,13 +12,13 @@ import hashlib
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....core.arrays import F32, F64, U32
-from ....core.scene.mesh import Mesh
+from ....core.scene.mesh import Mesh, MeshSequence
 from ....core.scene.placing import LARGEST
 from ..materials.displacement import Relief, shells
 
@@ -239,7 +239,7 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
     )
 
 
-class LazyMeshes(Sequence[Mesh]):
+class LazyMeshes(MeshSequence):
     """`Scene.meshes`: item m is read from Blender each time it is asked for, so keep what you need. Not to be asked for
     by two threads at once."""
 
@@ -250,16 +250,9 @@ class LazyMeshes(Sequence[Mesh]):
     def __len__(self) -> int:
         return len(self.sources)
 
-    @overload
-    def __getitem__(self, index: int) -> Mesh: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Mesh]: ...
-    def __getitem__(self, index: int | slice) -> Mesh | list[Mesh]:
-        if isinstance(index, slice):
-            return [self._load(source) for source in self.sources[index]]
-        return self._load(self.sources[index])
-
-    def _load(self, source: MeshSource | None) -> Mesh:
+    def mesh(self, index: int) -> Mesh:
+        """Read from Blender."""
+        source = self.sources[index]
         if source is None:
             return EMPTY
         mesh, source.ready = source.ready or load(source, self.uv_maps), None

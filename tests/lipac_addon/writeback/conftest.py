@@ -3,6 +3,7 @@ data."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
@@ -12,6 +13,19 @@ import pytest
 from lipac.lipac_addon.keys import KEY, MAX_DEPTH, Keys, Kind
 
 SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+
+
+def linked(folder: Path, *names: str) -> list[bpy.types.Object]:
+    """Save the open file as a library, and link objects of it, by name, into an empty file; the last is its camera."""
+    library = str(folder / "library.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=library)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(library, link=True) as (_found, wanted):
+        wanted.objects = list(names)
+    for ob in wanted.objects:
+        bpy.context.scene.collection.objects.link(ob)
+    bpy.context.scene.camera = wanted.objects[-1]
+    return list(wanted.objects)
 
 
 class Census(bpy.types.RenderEngine):
@@ -294,19 +308,8 @@ def metaballs() -> None:
 
 
 SCENES = (
-    objects,
-    nodes_object,
-    nodes_collection,
-    nodes_children,
-    nodes_light,
-    nodes_fed,
-    collections,
-    particles,
-    particle_collection,
-    duplis,
-    animated,
-    simulation,
-    metaballs,
+    objects, nodes_object, nodes_collection, nodes_children, nodes_light, nodes_fed, collections, particles,
+    particle_collection, duplis, animated, simulation, metaballs
 )
 
 

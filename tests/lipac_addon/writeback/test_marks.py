@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lipac.lipac_addon.writeback import apply, marks, mask, restore
-from lipac.tests.lipac_addon.writeback.conftest import link, particles, points, scatter, triangle
+from lipac.tests.lipac_addon.writeback.conftest import link, linked, particles, points, scatter, triangle
 
 
 def everything(keys):
@@ -77,15 +77,8 @@ def overrides(tmp_path):
         "OBJECT",
         bpy.data.objects["source"],
     )
-    library, names = str(tmp_path / "library.blend"), ("host", "plain", "emitter", "Camera")
-    bpy.ops.wm.save_as_mainfile(filepath=library)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(library, link=True) as (_found, wanted):
-        wanted.objects = list(names)
-    for ob in wanted.objects:
-        bpy.context.scene.collection.objects.link(ob)  # Blender 5.3 overrides only what the file uses
-    for ob in wanted.objects:
-        ob.override_create(remap_local_usages=True)
+    for ob in linked(tmp_path, "host", "plain", "emitter", "Camera"):
+        ob.override_create(remap_local_usages=True)  # Blender 5.3 overrides only what the file uses
     bpy.context.scene.camera = bpy.data.objects["Camera", None]
     reopen(tmp_path / "shot.blend")
 
@@ -204,14 +197,7 @@ def test_names_with_a_newline(build, census_keys, shown):
 def test_a_linked_object_stays_where_it_would_not_last(build, census_keys, shown, tmp_path):
     """Blender neither saves nor undoes what is set on it."""
     build("objects")
-    library = str(tmp_path / "library.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=library)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(library, link=True) as (_found, wanted):
-        wanted.objects = ["o0", "o1", "Camera"]
-    for ob in wanted.objects:
-        bpy.context.scene.collection.objects.link(ob)
-    bpy.context.scene.camera = bpy.data.objects["Camera"]
+    linked(tmp_path, "o0", "o1", "Camera")
     keys, _places = census_keys()
     before = shown()
     result = apply(everything(keys), keys, lasting=True)

@@ -8,7 +8,7 @@ import pytest
 
 from lipac.lipac_addon.keys import Kind
 from lipac.lipac_addon.writeback import apply, restore
-from lipac.tests.lipac_addon.writeback.conftest import who_and_where
+from lipac.tests.lipac_addon.writeback.conftest import linked, who_and_where
 
 # Share of instances culled, at random; 1 culls everything.
 SHARES = (0.3, 0.8, 1.0)
@@ -160,14 +160,7 @@ def test_user_may_remove_the_modifier(build, census_keys, snapshot):
 
 def test_linked_host_is_reported(build, census_keys, shown, tmp_path, new_file):
     build("nodes_object")
-    library = str(tmp_path / "library.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=library)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(library, link=True) as (_found, wanted):
-        wanted.objects = ["host", "source", "Camera"]
-    for ob in wanted.objects:
-        bpy.context.scene.collection.objects.link(ob)
-    bpy.context.scene.camera = wanted.objects[2]
+    linked(tmp_path, "host", "source", "Camera")
     keys, places = census_keys()
     before = shown()
     culled = (keys.records["host"] >= 0) & (np.arange(len(places)) % 2 == 0)
@@ -185,15 +178,8 @@ def test_linked_host_is_reported(build, census_keys, shown, tmp_path, new_file):
 
 def test_override_takes_the_mask(build, census_keys, shown, snapshot, tmp_path):
     build("nodes_object")
-    library = str(tmp_path / "library.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=library)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(library, link=True) as (_found, wanted):
-        wanted.objects = ["host", "Camera"]
-    bpy.context.scene.camera = wanted.objects[1]
-    for ob in wanted.objects:
-        bpy.context.scene.collection.objects.link(ob)  # Blender 5.3 overrides only what the file uses
-    wanted.objects[0].override_create(remap_local_usages=True)
+    host, _camera = linked(tmp_path, "host", "Camera")
+    host.override_create(remap_local_usages=True)  # Blender 5.3 overrides only what the file uses
     keys, places = census_keys()
     before, data = shown(), snapshot()
     culled = (keys.records["host"] >= 0) & (np.arange(len(places)) % 2 == 0)
