@@ -7,12 +7,11 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from ..version import __version__
-from .command import streams
+from .command import clock, streams
 from .command.streams import say
 
 # Command: module of this folder, with a main(argv), and what it does
@@ -47,14 +46,6 @@ STOPPED = "stopped; finished frames and their report are kept"
 NO_MEMORY = (
     "out of memory; lower --resolution or the number of instances, close other programs, or allow this one more memory"
 )
-
-
-_began = time.monotonic()
-
-
-def began() -> float:
-    """`time.monotonic()` when this command began."""
-    return _began
 
 
 def usage() -> str:
@@ -95,8 +86,7 @@ def _run(argv: Sequence[str] | None) -> int:
 
 def guarded(name: str, arguments: Sequence[str]) -> int:
     """Run a command; errors become one line on stderr and an exit status. LIPAC_DEBUG=1 shows where they come from."""
-    global _began  # noqa: PLW0603
-    _began = time.monotonic()
+    clock.begin()
     with _ctrl_c_noted() as stopped:
         return _guarded(name, arguments, stopped)
 

@@ -16,6 +16,7 @@ from ...core.files.digest import digest
 from ...core.threads import processors
 from ...core.warmup import load_ahead, telling
 from ...version import __version__
+from .clock import began
 from .interrupt import ctrl_c
 from .last_words import last_words
 from .options import check, check_device, cull_options
@@ -58,7 +59,6 @@ def do_frames(
         from ...lipac_addon.batch.job import Job
         from ...lipac_addon.batch.pipeline import run
         from ...lipac_addon.open import AUTO, leave_modes, missing_libraries, open_scene, use_camera
-        from ..lipac import began
 
         gc.freeze()  # what is loaded by now stays: who collects garbage need not look through it
         # where memory is limited another process analyses
