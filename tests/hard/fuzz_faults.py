@@ -248,7 +248,9 @@ def command(choose: Seeded, what: str) -> list[str]:
 def _check_left(work: Path, what: str, before: dict[str, str]) -> None:
     """What was there is as it was, but for what the command is to write; what there is of that is whole."""
     after = _digests(work)
-    own = {"out/report.json"} if what == "render path" else {"baked.blend"} if what == "analyze" else set()
+    # a page is of the report beside it, or not there
+    resumed = {"out/report.json", "out/report.html", "out/memory.csv"}
+    own = resumed if what == "render path" else {"baked.blend"} if what == "analyze" else set()
     changed = [name for name, digest in before.items() if after.get(name) != digest and name not in own]
     assert not changed, f"{what}: changed or lost: {changed}"
     for name in after:
