@@ -6,8 +6,9 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from typing import Any
 
@@ -41,10 +42,17 @@ def last_words(line: str, status: int) -> Iterator[None]:
 
 
 def nothing_more(status: int) -> None:
-    """Whatever crashes from now on, while the process ends, it ends with this status, and silently: all is said.
+    """Whatever crashes from now on, while the process ends, it ends with this status; and nothing more goes to stderr:
+    all is said.
 
-    Blender's own end crashes where there is no memory.
+    Blender's own end crashes where there is no memory, and complains before.
     """
+    with suppress(OSError, ValueError):  # a stream that is closed
+        sys.stderr.flush()
+    with suppress(OSError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 2)
+        os.close(nowhere)
     machine = _machine() if CRASHES else None
     if machine is not None:
         machine.tell(0, 0, status, 2)

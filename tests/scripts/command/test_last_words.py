@@ -74,12 +74,14 @@ def crash():
 if len(sys.argv) > 1:
     atexit.register(crash)
 print("written", end="")
+print("said", end="", file=sys.stderr)
 nothing_more(2)
+print("not said", file=sys.stderr)
 sys.exit(2)
 """
     for arguments in ((), ("crash",)):
         done = process(code, *arguments)
-        assert (done.returncode, done.stdout if not arguments else "written", done.stderr) == (2, "written", "")
+        assert (done.returncode, done.stdout if not arguments else "written", done.stderr) == (2, "written", "said")
 
 
 @pytest.fixture(scope="module")
