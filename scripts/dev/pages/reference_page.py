@@ -115,7 +115,8 @@ def command_text(name: str) -> str:
     usage = " ".join(["lipac", name, *(f"[{_shown(a)}]" if a.nargs == "?" else _shown(a) for a in places), "[options]"])
     parts = [f"### lipac {name}", f"```text\n{usage}\n```", parser.description or ""]
     for group in parser._action_groups:
-        actions = [a for a in group._group_actions if not isinstance(a, argparse._HelpAction)]
+        listed = (a for a in group._group_actions if a.help != argparse.SUPPRESS)
+        actions = [a for a in listed if not isinstance(a, argparse._HelpAction)]
         if actions:
             plain = group.title in ("positional arguments", "options")
             title = "" if plain else f"**{(group.title or '').capitalize()}**\n\n"
