@@ -7,7 +7,7 @@ import pytest
 from ...reports import checked_reports
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def reports() -> Iterator[None]:
     """All that are written here."""
     with checked_reports():
