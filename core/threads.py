@@ -21,7 +21,9 @@ def start(work: Callable[[], None], calls: int, threads: int = 0) -> set[Future[
     """Call work so many times at once, on so many threads (0: all processors), in which it must not call this itself.
     Raises RuntimeError where the system has none to give; no call is left then."""
     threads = threads or processors()
-    pool = _pools.setdefault(threads, ThreadPoolExecutor(threads, "lipac"))
+    if threads not in _pools:
+        _pools[threads] = ThreadPoolExecutor(threads, "lipac")
+    pool = _pools[threads]
     try:
         return {pool.submit(work) for _ in range(calls)}
     except RuntimeError:
@@ -43,5 +45,10 @@ def over_parts(kernel: Callable[[int, int], None], count: int, worth_while: int 
         for first, stop in left:  # list iterators hand out each item once, whoever asks
             kernel(first, stop)
 
-    for future in start(take, parts):
+    try:
+        running = start(take, parts)
+    except RuntimeError:  # no threads to be had: what is left is done on this one
+        running = set()
+        take()
+    for future in running:
         future.result()
