@@ -6,18 +6,23 @@ from __future__ import annotations
 import numpy as np
 
 from ..accel.region_tree import FANOUT, Cut, Regions
-from ..arrays import F32, I32, I64
+from ..arrays import F32, F64, I32, I64
+from ..error_budget.budget import Budget
 from ..feedback.hits import Feedback
+from ..feedback.tiles import DARK
 from ..scene.bounds import existing
 from ..scene.change import Change
+from ..scene.film import LUMINANCE
 from ..scene.frustum import View
 from ..scene.model import RayType, Scene
+from ..tracing.seen_emitters import SeenEmitters
 from .measurement import Measurement
 
 COLD_HITS = 7  # detection limit: segments of one round that must cross a box before it is opened
 SETTLED = 0.02  # requests per path at which coarse rounds end
 GROWTH = 1.05  # per round at most, of the value of an instance that waits for its BLAS
 LARGE = 0.05  # of the picture's width: what comes into view this large is activated before it is asked for
+UNASKED = 0.02  # of the budget: what small emitters that the camera sees may bring a tile together, and stay unasked
 
 
 class Activation:
@@ -153,6 +158,15 @@ class Activation:
             lit = feedback.hits[emissive].any(axis=1) | np.isin(emissive, self.regions.order[cut.index[crossed]])
             self.active[emissive[lit]] = True
 
+    def activate_seen_emitters(self, seen: SeenEmitters, light: F64, budget: Budget) -> bool:
+        """Activate small emitters that the camera sees, but those that together bring little to each tile. light: (T,)
+        mean luminance of each. Returns whether there was any to activate."""
+        share = seen.color @ LUMINANCE / np.maximum(light, max(DARK * float(light.mean()), 1e-30))[seen.tile]
+        rows = seen.instance[_all_but(share, seen.tile, UNASKED * min(budget.mean, budget.worst))]
+        new = np.unique(rows[~self.active[rows]])
+        self.active[new] = True
+        return bool(len(new))
+
     def open_crossed_boxes(self, cut: Cut, feedback: Feedback, emissive: I64) -> bool:
         """Open every box of a cut that a path of a witness crossed, and activate emitters that lit one. Returns whether
         there was any."""
@@ -187,3 +201,14 @@ def _detection_limit(crossings: I64, paths: int) -> int:
     often = int(crossings[crossings >= COLD_HITS].sum())
     seldom = int(crossings.sum()) - often
     return 1 if seldom > often and seldom > SETTLED * paths else COLD_HITS
+
+
+def _all_but(share: F64, tile: I32, tolerated: float) -> np.ndarray:
+    """(S,) bool: all but the least shares, (S,), of each tile, (S,): as many as are within what is tolerated."""
+    order = np.lexsort((share, tile))
+    upto = np.cumsum(share[order])
+    starts = np.unique(tile[order], return_index=True)[1]
+    before = np.repeat(np.append(0, upto)[starts], np.diff(np.append(starts, len(order))))
+    out = np.zeros(len(share), bool)
+    out[order] = upto - before > tolerated
+    return out

@@ -11,18 +11,19 @@ from numpy.typing import NDArray
 
 from ..accel.region_tree import FANOUT
 from ..accel.tlas import Tlas
-from ..arrays import F64, I32
+from ..arrays import F64, I32, I64
 from ..error_budget.budget import Budget, Savings, Shared
-from ..error_budget.error_estimate import CONFIDENCE, Reference
+from ..error_budget.error_estimate import CONFIDENCE, Light, Reference
 from ..error_budget.fitting import least_that_fits
 from ..error_budget.search import DENSER, TRIALS, WORTH_WHILE, Choice, Search, gain
 from ..error_budget.trial import Trial
-from ..error_budget.units import Units, units_of
+from ..error_budget.units import Seen, Units, units_of
 from ..errors import InputError
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import DARK, marks
+from ..feedback.tiles import DARK, TILES, marks, tiles_of
 from ..progress import Progress, part, silent
-from ..scene.model import RAY_TYPES, Scene
+from ..scene.model import RAY_TYPES, RayType, Scene
+from ..tracing.lights.lights import brightest
 from .certificate import MORE, STEEPEST, Certificate, Verdict
 from .loop import Loop
 from .measurement import Measurement, Traced
@@ -278,12 +279,6 @@ def _searched(
 def _search(loop: Loop, measured: Measurement, budget: Budget) -> Search:
     """A search among the units of a measurement."""
     ids = measured.tlas.ids
-    with loop.timer.step("feedback_s"):
-        worth = measured.worth
-        savings = _savings(loop, ids)
-        must = loop.activation.pinned.copy()
-        must[ids[(worth > PRICELESS).any(axis=1)]] = True
-        units = units_of(loop.activation.regions, ids, measured.paths_met(), worth, must)
     built: list[tuple[np.ndarray, np.ndarray, Tlas]] = []  # the set that is tried: all trials share it
 
     def trial(traced: Traced, light: F64 | None) -> Trial:
@@ -303,7 +298,40 @@ def _search(loop: Loop, measured: Measurement, budget: Budget) -> Search:
 
     light = _light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64))
     trials = [trial(traced, None if k else light) for k, traced in enumerate(measured.traced)]
+    with loop.timer.step("feedback_s"):
+        worth = measured.worth
+        savings = _savings(loop, ids)
+        must = loop.activation.pinned.copy()
+        must[ids[(worth > PRICELESS).any(axis=1)]] = True
+        emitters = loop.seen
+        share = Light.of(*(trial.reference for trial in trials)).share(emitters.tile, emitters.color)
+        seen = Seen(measured.tlas.entry_of(len(loop.activation))[emitters.instance], emitters.tile, share)
+        built_ones = seen.of >= 0
+        place = seen.of[built_ones], seen.tile[built_ones]
+        worth[place] = np.maximum(worth[place], share[built_ones])
+        units = units_of(loop.activation.regions, ids, _evidence(loop, measured, budget), worth, must, seen)
     return Search(trials, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
+
+
+def _evidence(loop: Loop, measured: Measurement, budget: Budget) -> I64:
+    """(A,) how many paths say what each TLAS entry is worth: those that met it.
+
+    What mirrors and glass show of an emitter, light sampling does not find. Where one path that meets it there could
+    break the budget of a tile, and paths meet such emitters there, those alone are evidence.
+    """
+    met, ids = measured.paths_met(), measured.tlas.ids
+    rows = measured.tlas.entry_of(len(loop.activation))[measured.emissive]
+    rows = rows[rows >= 0]
+    if not len(rows):
+        return met
+    paths = np.bincount(tiles_of(loop.size[1], loop.size[0]).ravel(), minlength=TILES) * measured.samples
+    light = measured.weights.total * measured.weights.unit / np.maximum(paths, 1)  # mean of each tile's paths
+    least = float((np.maximum(light, DARK * light.mean()) * paths)[paths > 0].min())
+    rows = rows[brightest(loop.scene)[ids[rows]] > budget.worst * least]
+    seen = measured.feedback.hits[ids[rows]][:, [RayType.GLOSSY, RayType.TRANSMISSION]].sum(axis=1)
+    if seen.any():
+        met[rows] = np.minimum(met[rows], seen)
+    return met
 
 
 def _savings(loop: Loop, ids: I32) -> Savings:

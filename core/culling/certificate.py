@@ -22,7 +22,7 @@ from ..error_budget.budget import Budget
 from ..error_budget.error_estimate import CONFIDENCE, NOTHING, ErrorEstimate, Light, Reference
 from ..error_budget.search import WORTH_WHILE, pieces
 from ..error_budget.trial import Trial
-from ..error_budget.units import Units
+from ..error_budget.units import Seen, Units
 from ..feedback.path_log import PathLog
 from ..feedback.tiles import TILES, marks
 from ..progress import Progress, part, silent
@@ -176,7 +176,9 @@ class Certificate:
         for layer in self._layers:
             self.paths += layer.propose(keep, tlas)
         difference = sum((layer.trial.trace() for layer in self._layers[1:]), self._layers[0].trial.trace())
-        return self._light.estimate(difference, self.unknown)
+        seen, light = self.loop.seen, self._light
+        unmet = Seen(seen.instance, seen.tile, light.share(seen.tile, seen.color)).without(keep)
+        return light.estimate(difference, self.unknown + unmet)
 
     def _accept(self) -> None:
         for layer in self._layers:

@@ -20,6 +20,7 @@ from ..progress import Progress, silent
 from ..scene.change import Change
 from ..scene.film import Picture
 from ..scene.model import Scene
+from ..tracing.seen_emitters import SeenEmitters, seen_emitters
 from ..tracing.tracer import Prepared, advanced, prepare, trace
 from .options import CullOptions
 from .result import Timer
@@ -84,6 +85,11 @@ class FrameTracer:
             if not self.residency.limited:
                 self.blas.need(self.scene.instances.mesh[active], self.step(progress))
             return Tlas(self.scene.instances, self.blas, active)
+
+    def seen_emitters(self, tlas: Tlas) -> SeenEmitters:
+        """What the camera sees of small emitters past what is in a TLAS."""
+        with self.timer.step("trace_s"):
+            return seen_emitters(self.prepared, tlas, self.size, self._options.seed)
 
     def trace(
         self,

@@ -7,7 +7,6 @@ When no path asks for more, the active set is measured by real hits, and what fe
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -21,11 +20,12 @@ from ..accel.tlas import Tlas
 from ..arrays import F32, I64
 from ..feedback.hits import Weights
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import TILES, marks
+from ..feedback.tiles import TILES, marks, tile_means
 from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
 from ..scene.model import Scene
+from ..tracing.seen_emitters import NONE_SEEN, SeenEmitters
 from .activation import SETTLED, Activation
 from .division import Division
 from .frame_tracer import FrameTracer
@@ -43,8 +43,9 @@ class Loop:
     instances.
 
     scene: the frame. tracer: traces sets of its instances. activation: which instances are active. blas: what is built.
-    rounds: of this frame so far. measured: the last measurement of this frame.
-    samples: paths per pixel of a measurement and the certificate together, first_samples: of a first measurement.
+    rounds: of this frame so far. measured: the last measurement of this frame. seen: what the camera sees of small
+    emitters. samples: paths per pixel of a measurement and the certificate together, first_samples: of a first
+    measurement.
     """
 
     def __init__(
@@ -93,6 +94,7 @@ class Loop:
         self.scene, self.timer = scene, self.tracer.timer
         self.rounds = 0
         self.measured: Measurement | None = None
+        self.seen: SeenEmitters = NONE_SEEN
         self.size = self.tracer.size
         self.samples = self.options.paths_per_pixel(scene.film)
         self.first_samples = self.options.first_paths_per_pixel(scene.film)
@@ -136,6 +138,10 @@ class Loop:
             if asked <= self.options.settled and self.rounds < self.options.max_iterations:
                 tlas = None  # measure with the few that the last round requested, too
                 break
+        if self.options.min_share is None:
+            self.seen = self.tracer.seen_emitters(self.tracer.build(self.activation.active))
+            if self.activation.activate_seen_emitters(self.seen, tile_means(picture), self.options.max_error):
+                tlas = None
         return self.measure(tlas, progress=part(progress, 0.5, 1.0))
 
     def _divide(self) -> None:
@@ -195,12 +201,7 @@ class Loop:
         feedback, _ = self.tracer.count(
             prepared, measured.tlas, only.shape[2], first, None, measured.weights, progress, log=log, only=only
         )
-        met = np.flatnonzero(measured.feedback.hits.any(axis=1))
-        feedback.hits[met] += measured.feedback.hits[met]
-        feedback.paths += measured.feedback.paths
-        self.measured = dataclasses.replace(
-            measured, feedback=feedback, traced=(*measured.traced, Traced(log, first, samples))
-        )
+        self.measured = measured.with_more(feedback, Traced(log, first, samples))
         return self.measured
 
     def include(self, instances: np.ndarray) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,14 @@ class Measurement:
     def worth(self) -> F64:
         """(A, T) of each TLAS entry, relative to each tile's light."""
         return self.weights.relative(self.samples)
+
+    def with_more(self, feedback: Feedback, traced: Traced) -> Measurement:
+        """With another trace of the same TLAS, whose weights were added to these; feedback of its own paths is that of
+        all from then on."""
+        met = np.flatnonzero(self.feedback.hits.any(axis=1))
+        feedback.hits[met] += self.feedback.hits[met]
+        feedback.paths += self.feedback.paths
+        return replace(self, feedback=feedback, traced=(*self.traced, traced))
 
     def paths_met(self) -> I64:
         """(A,) how many paths met each TLAS entry."""

@@ -290,6 +290,16 @@ class Light:
         ]
         return Light(paths, lit[0], lit[1], references[0].height, references[0].width)
 
+    def share(self, tile: I32, color: F64) -> F64:
+        """(S,) what mean radiance (S, 3) is of the light of tiles (S,): the larger of its luminance and its colour."""
+        paths = self.paths[tile]
+        return np.asarray(
+            np.maximum(
+                color @ LUMINANCE * paths / self.luminance[tile],
+                np.sqrt((color**2).mean(axis=1)) * paths / self.brightness[tile],
+            )
+        )
+
     def estimate(self, difference: Difference, owed: F64 | None = None) -> ErrorEstimate:
         """The error that paths show. owed: (T,) to be charged on top.
 

@@ -18,10 +18,29 @@ from numpy.typing import NDArray
 
 from ..accel.region_tree import FANOUT, Regions
 from ..arrays import F64, I32, I64
+from ..feedback.tiles import TILES
 from .budget import Savings
 
 # paths that must meet an instance, or a pool, for it to be a unit: their number is then known to a third (1 / sqrt(8))
 EVIDENCE = 8
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Light by which the camera sees small emitters. of: (S,) int32 unit or instance, -1 for what is always culled;
+    tile: (S,) int32; share: (S,) float64 of the light of that tile."""
+
+    of: I32 | I64
+    tile: I32
+    share: F64
+
+    def without(self, keep: np.ndarray) -> F64:
+        """(T,) what tiles lack where only keep, bool by unit or instance and one more for -1, stays."""
+        lost = ~keep[self.of]
+        return np.bincount(self.tile[lost], self.share[lost], TILES)
+
+
+NOTHING_SEEN = Seen(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -31,7 +50,7 @@ class Units:
     of_entry: (A,) int32 unit of each entry. worth: (U, T) float64 relative change of each tile that culling it is
     expected to make, infinite for what must stay. unmet: of how many units no member was met: they come last. pool_of:
     (R,) int32 number among those for each lowest region of the tree, -1 for none. members: (U,) how many instances each
-    has.
+    has. seen: what the camera sees of them, beside what paths met.
     """
 
     of_entry: I32
@@ -39,6 +58,7 @@ class Units:
     unmet: int
     pool_of: I32
     members: I64
+    seen: Seen = NOTHING_SEEN
 
     @staticmethod
     def single(worth: F64) -> Units:
@@ -60,9 +80,10 @@ class Units:
         return np.asarray(cull[self.of_entry])
 
     def owed(self, cull: np.ndarray) -> F64:
-        """(T,) what is charged for the units of cull, (U,) bool, that no path met."""
+        """(T,) what is charged for the units of cull, (U,) bool, that no path met, and for what the camera sees of
+        others."""
         n = self.with_entries
-        return np.asarray(self.worth[n:][cull[n:]].sum(axis=0))
+        return np.asarray(self.worth[n:][cull[n:]].sum(axis=0) + self.seen.without(np.append(~cull, False)))
 
     def saved(self, savings: Savings, stay: np.ndarray) -> F64:
         """(U,) bytes that culling each unit saves where those of stay, (U,) bool, are what is left. savings: of the
@@ -83,9 +104,11 @@ class Units:
         return regions.order[places[places < len(regions.order)]]
 
 
-def units_of(regions: Regions, ids: I32, paths_met: I64, worth: F64, pinned: np.ndarray) -> Units:
+def units_of(
+    regions: Regions, ids: I32, paths_met: I64, worth: F64, pinned: np.ndarray, seen: Seen = NOTHING_SEEN
+) -> Units:
     """Units for TLAS entries of instances ids, (A,). paths_met: (A,) paths that met each. worth: (A, T). pinned: (N,)
-    bool, what stays whatever it is worth."""
+    bool, what stays whatever it is worth. seen: what the camera sees of TLAS entries."""
     alone = pinned[ids] | (paths_met >= EVIDENCE)
     thin = ~alone & (paths_met > 0)
     pool_of, pools = _pools(regions, regions.place[ids[thin]].astype(np.int64) // FANOUT, paths_met[thin])
@@ -105,7 +128,9 @@ def units_of(regions: Regions, ids: I32, paths_met: I64, worth: F64, pinned: np.
     runs = np.bincount(pool_of[pool_of >= 0], _sizes(regions)[pool_of >= 0], pools).astype(np.int64)
     met = np.bincount(pool[~unmet_entry], minlength=pools)  # those that stand alone are among the region's members too
     members = np.concatenate([np.ones(singles, np.int64), np.bincount(pool[thin], minlength=pools), runs - met])
-    return Units(of_entry.astype(np.int32), by_unit, pools, pool_of, members)
+    of_entry = of_entry.astype(np.int32)
+    seen = Seen(np.append(of_entry, np.int32(-1))[seen.of], seen.tile, seen.share)
+    return Units(of_entry, by_unit, pools, pool_of, members, seen)
 
 
 def _add_rows(out: F64, rows: np.ndarray, values: F64) -> None:

@@ -11,7 +11,7 @@ from lipac.core.accel import region_tree
 from lipac.core.culling import activation, analysis, certificate, frame_tracer, loop, options
 from lipac.core.error_budget import budget, error_estimate, search, units
 from lipac.core.feedback import hits, path_log, tiles
-from lipac.core.tracing import path_state
+from lipac.core.tracing import path_state, seen_emitters
 
 from .pages import ROOT
 
@@ -88,6 +88,8 @@ CONSTANTS = {
     "RECORD": path_log.RECORD,
     "MAX_VERTICES": path_state.MAX_VERTICES,
     "EVIDENCE": units.EVIDENCE,
+    "SMALL": seen_emitters.SMALL,
+    "UNASKED": activation.UNASKED,
     "PRICELESS": analysis.PRICELESS,
     "TILE_PATHS": options.TILE_PATHS,
     "MOST_PATHS": options.MOST_PATHS,

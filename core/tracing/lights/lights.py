@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...arrays import F32, I32
+from ...arrays import F32, F64, I32
 from ...jit.pointers import address
 from ...scene.bounds import existing
 from ...scene.film import LUMINANCE
@@ -38,16 +38,27 @@ _BSDF_RAYS = (1 << RayType.DIFFUSE) | (1 << RayType.GLOSSY) | (1 << RayType.TRAN
 def emissive_instances(scene: Scene) -> NDArray[np.int64]:
     """Instances with a material that emits and is sampled as a light, by materials alone: no mesh is loaded. Indices,
     ascending."""
-    emits = (scene.materials["emission"] > 0).any(1) & (scene.materials["mis_emission"] != 0)
-    if not emits.any() or not len(scene.instances):
+    if not _strength(scene).any() or not len(scene.instances):
         return np.zeros(0, np.int64)
-    # A mesh's slots follow each other from its instance's first one, to where the next instance's begin.
-    emits_slot = np.append(emits[scene.slot_materials], False)
-    starts = np.unique(np.append(scene.instances.slots, len(scene.slot_materials)))
-    any_from = np.logical_or.reduceat(emits_slot, starts)[:-1] if len(starts) > 1 else np.zeros(0, bool)
-    flagged = any_from[np.searchsorted(starts, scene.instances.slots)]
-    rows = np.flatnonzero(flagged & ((scene.instances.flags & _BSDF_RAYS) != 0))
+    rows = np.flatnonzero(brightest(scene) > 0)
+    rows = rows[(scene.instances.flags[rows] & _BSDF_RAYS) != 0]
     return rows[existing(scene.instances.bounds[rows])]
+
+
+def brightest(scene: Scene) -> F64:
+    """(N,) luminance that the brightest of each instance's materials emits, of those that are sampled as lights."""
+    # A mesh's slots follow each other from its instance's first one, to where the next instance's begin.
+    of_slot = np.append(_strength(scene)[scene.slot_materials], 0.0)
+    starts = np.unique(np.append(scene.instances.slots, len(scene.slot_materials)))
+    most = np.maximum.reduceat(of_slot, starts)[:-1] if len(starts) > 1 else np.zeros(1)
+    return np.asarray(most[np.searchsorted(starts, scene.instances.slots)])
+
+
+def _strength(scene: Scene) -> F64:
+    """(M,) luminance that each material emits; what emits invisible light alone is not 0."""
+    emission = np.maximum(scene.materials["emission"], 0)
+    strength = np.maximum(emission @ LUMINANCE, 1e-30 * (emission > 0).any(axis=1))
+    return np.where(scene.materials["mis_emission"] != 0, strength, 0.0)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,207 @@
+"""Emitters as the camera sees them: sampled on the emitters themselves.
+
+An emitter of less than a pixel can be as bright as all else in a tile, and of the paths from the camera few or none
+meet it: that they did not is no evidence that nobody sees it. Light sampling finds it from surfaces, not from the
+camera. So points on each small emitter are connected to the camera, as light tracing does: the estimate's noise does
+not depend on how small or how bright an emitter is.
+
+Erring on the side of seeing more: what is not surely opaque is looked through without loss, what is not built stands in
+nothing's way, a textured emitter is as bright as its strength, and depth of field moves nothing to another tile.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ..accel.embree import INST_ID, INST_PRIM_ID, PRIM_ID, RAY, TFAR
+from ..accel.tlas import Tlas
+from ..arrays import F64, I32, I64
+from ..feedback.tiles import COLUMNS, ROWS, TILES
+from ..jit.pointers import f32_pointer, load_f32, load_i32, load_i64, load_u8, load_u32, offset
+from ..jit.sampling import INNER, OPTIONS, normalize, path_key, uniform2
+from ..scene.frustum import View
+from ..scene.model import RayType, Scene, Shader
+from .lights.environment import find_interval
+from .lights.light_sampling import (
+    L_CDF,
+    L_EMITTER_RECORDS,
+    L_INSTANCE_EMITTER,
+    L_MESHES,
+    L_TRIANGLES,
+    triangle_edges,
+)
+from .lights.lights import EMITTER
+from .materials import M_EMISSION, M_SINGLE_SIDED, MATERIAL_SIZE, material_of
+from .path_rays import intersect, set_ray
+from .surface import T_MATERIALS, mesh_record
+from .tracer import Prepared
+
+SMALL = 12.0  # pixels: of an emitter larger than this, paths find what it is worth
+POINTS = (16, 256)  # on each emitter, at least and at most
+RAYS = 1 << 19  # in all, where many emitters are small
+PASSES = 64  # surfaces that a ray looks through at most
+_SURE = np.float32(0.999)  # of the way to a point on an emitter: what a ray meets behind that is the emitter
+_BEYOND = np.float32(1 + 1e-5)  # times the distance of a surface that is looked through: where the ray goes on
+_CAMERA = int(RayType.CAMERA)
+_EMITTER_SIZE = np.uint64(EMITTER.itemsize)
+_FIRST, _COUNT = offset(EMITTER, "first"), offset(EMITTER, "count")
+_ONE, _ZERO, _HALF, _TINY = np.float32(1.0), np.float32(0.0), np.float32(0.5), np.float32(1e-30)
+
+
+@dataclass(frozen=True)
+class SeenEmitters:
+    """What the camera sees of small emitters.
+
+    instance: (S,) int64; tile: (S,) int32; color: (S, 3) float64, an instance's part of the mean radiance of a tile.
+    """
+
+    instance: I64
+    tile: I32
+    color: F64
+
+    def __len__(self) -> int:
+        return len(self.instance)
+
+    def without(self, keep: np.ndarray) -> F64:
+        """(T, 3) mean radiance that each tile lacks where only keep, (N,) bool, is in the scene."""
+        lost = ~keep[self.instance]
+        return np.stack([np.bincount(self.tile[lost], self.color[lost, c], TILES) for c in range(3)], axis=1)
+
+
+NONE_SEEN = SeenEmitters(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 3)))
+
+
+def seen_emitters(prepared: Prepared, tlas: Tlas, size: tuple[int, int], seed: int = 0) -> SeenEmitters:
+    """What the camera sees of those emitters, built or not, that are small in a picture of size (width, height), past
+    what is in tlas."""
+    scene, emissive = prepared.scene, prepared.emissive
+    rows = emissive[(scene.instances.flags[emissive] & (1 << _CAMERA)) != 0]
+    boxes = scene.instances.bounds[rows]
+    view, extent = View.of(scene.camera), np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
+    rows = rows[view.shows(boxes, extent, 0.0) & ~view.shows(boxes, extent, SMALL / size[0])]
+    if not len(rows):
+        return NONE_SEEN
+    points = int(np.clip(RAYS // len(rows), *POINTS))
+    tile, color = np.full((len(rows), points), -1, np.int32), np.zeros((len(rows), points, 3), np.float32)
+    camera = prepared.camera[len(prepared.camera) // 2]  # of a shutter: the one in its middle
+    _see(
+        rows,
+        prepared.table.table,
+        prepared.lights.table,
+        prepared.blas.table.ctypes.data,
+        tlas.handle,
+        tlas.ids,
+        tlas.first,
+        _opaque(scene),
+        camera,
+        np.array(size),
+        seed,
+        tile,
+        color,
+    )
+    seen = tile >= 0
+    place = (np.arange(len(rows))[:, None] * TILES + tile)[seen]
+    named, number = np.unique(place, return_inverse=True)
+    pixels = (np.bincount(np.arange(size[1]) * ROWS // size[1])[:, None] * np.bincount(
+        np.arange(size[0]) * COLUMNS // size[0])).ravel()
+    sums = np.stack([np.bincount(number, color[..., c][seen], len(named)) for c in range(3)], axis=1)
+    tiles = (named % TILES).astype(np.int32)
+    return SeenEmitters(rows[named // TILES], tiles, sums / np.maximum(pixels, 1)[tiles][:, None])
+
+
+def _opaque(scene: Scene) -> np.ndarray:
+    """(M,) bool: materials that surely let no light pass straight on."""
+    m = scene.materials
+    shaders = [Shader.PRINCIPLED, Shader.DIFFUSE, Shader.GLOSSY, Shader.EMISSION, Shader.HOLDOUT]
+    solid = (m["alpha"] >= 1) & (m["alpha_texture"] < 0) & (m["transmission"] == 0) & (m["transmission_texture"] < 0)
+    return np.asarray(np.isin(m["shader"], shaders) & solid & (m["unsure"] == 0))
+
+
+@njit(**OPTIONS)
+def _see(rows, table, lights, meshes, tlas, ids, first, opaque, camera, size, seed, tile, color):
+    """Connect points of the emitters rows, (E,), to the camera: the tile of each, (E, K) int32, where the camera sees
+    it, and what it brings there, (E, K, 3) float32, summed over the tile's pixels. meshes: address of those in the
+    TLAS, whose entries ids and first tell. opaque: (M,) by material. camera: `camera_constants`."""
+    points = tile.shape[1]
+    buffer = np.zeros(RAY + 4, np.float32)
+    words = (np.uint64(buffer.ctypes.data) + np.uint64(15)) & ~np.uint64(15)
+    ray = f32_pointer(words)
+    for e in range(len(rows)):
+        instance = np.int64(rows[e])
+        record = lights[L_EMITTER_RECORDS] + _EMITTER_SIZE * np.uint64(load_i32(lights[L_INSTANCE_EMITTER], instance))
+        start, count = load_i64(record + _FIRST, 0), load_i64(record + _COUNT, 0)
+        mesh = mesh_record(lights[L_MESHES], table, instance)
+        for k in range(points):
+            u, v = uniform2(path_key(np.uint64(seed), np.uint64(instance), np.uint64(k)), np.uint64(0))
+            u = (np.float32(k) + u) / np.float32(points)  # in strata
+            i = find_interval(lights[L_CDF], start, count, u)
+            a, b = load_f32(lights[L_CDF], start + i), load_f32(lights[L_CDF], start + i + 1)
+            root = math.sqrt(min((u - a) / max(b - a, _TINY), _ONE))
+            b1, b2 = root * (_ONE - v), root * v
+            triangle = np.int64(load_i32(lights[L_TRIANGLES], start + i))
+            px, py, pz, ux, uy, uz, vx, vy, vz = triangle_edges(lights[L_MESHES], table, instance, triangle)
+            # normal with twice the area as its length
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            px, py, pz = px + b1 * ux + b2 * vx, py + b1 * uy + b2 * vy, pz + b1 * uz + b2 * vz
+            x, y, ox, oy, oz, pixels = _on_picture(camera, px, py, pz, nx, ny, nz)
+            column, row = math.floor(x * size[0]), math.floor(y * size[1])
+            if not (pixels > _ZERO and 0 <= column < size[0] and 0 <= row < size[1]):
+                continue
+            dx, dy, dz, distance = normalize(px - ox, py - oy, pz - oz)
+            material = material_of(table, mesh, instance, triangle)
+            if load_u8(material + M_SINGLE_SIDED, 0) != 0 and nx * dx + ny * dy + nz * dz > _ZERO:
+                continue
+            if not _passes(words, ray, table, meshes, tlas, ids, first, opaque, ox, oy, oz, dx, dy, dz, distance):
+                continue
+            tile[e, k] = row * ROWS // size[1] * COLUMNS + column * COLUMNS // size[0]
+            pixels *= _HALF * np.float32(size[0] * size[1]) / (max(b - a, _TINY) * np.float32(points))
+            for c in range(3):
+                color[e, k, c] = pixels * load_f32(material + M_EMISSION, c)
+    return buffer[0]  # keeps it alive until here
+
+
+@njit(**INNER)
+def _on_picture(c, px, py, pz, nx, ny, nz):
+    """Where a camera sees a point, in [0, 1]^2, v upward; the origin of the ray to it, 3 numbers; and the share of the
+    picture that an area takes there, whose normal n is as long as the area is large; 0 behind the camera."""
+    x, y, z = px - c[3], py - c[7], pz - c[11]
+    right = c[0] * x + c[4] * y + c[8] * z
+    up = c[1] * x + c[5] * y + c[9] * z
+    depth = -(c[2] * x + c[6] * y + c[10] * z)
+    if not c[17] < depth < c[18]:
+        return _ZERO, _ZERO, px, py, pz, _ZERO
+    wide, high = c[13] - c[12], c[15] - c[14]
+    if c[16] != _ZERO:  # orthographic: along its axis, from its plane
+        facing = abs(nx * c[2] + ny * c[6] + nz * c[10])
+        ox, oy, oz = px + depth * c[2], py + depth * c[6], pz + depth * c[10]
+    else:
+        facing = abs(nx * x + ny * y + nz * z) / (depth * depth * depth)
+        right, up = right / depth, up / depth
+        ox, oy, oz = c[3], c[7], c[11]
+    near = c[17] / depth
+    ox, oy, oz = ox + near * (px - ox), oy + near * (py - oy), oz + near * (pz - oz)
+    return (right - c[12]) / wide, (up - c[14]) / high, ox, oy, oz, facing / abs(wide * high)
+
+
+@njit(**INNER)
+def _passes(words, ray, table, meshes, tlas, ids, first, opaque, ox, oy, oz, dx, dy, dz, distance):
+    """Whether nothing that is surely opaque lies on a ray before a distance."""
+    left = _SURE * distance
+    for _ in range(PASSES):
+        set_ray(ray, words, ox, oy, oz, dx, dy, dz, left, _CAMERA)
+        if not intersect(tlas, words):
+            return True
+        entry = first[np.int64(load_u32(words, INST_ID))] + np.int64(load_u32(words, INST_PRIM_ID))
+        instance, triangle = np.int64(ids[entry]), np.int64(load_u32(words, PRIM_ID))
+        material = material_of(table, mesh_record(meshes, table, instance), instance, triangle)
+        if opaque[np.int64((material - table[T_MATERIALS]) // MATERIAL_SIZE)]:
+            return False
+        step = ray[TFAR] * _BEYOND + _TINY
+        ox, oy, oz, left = ox + step * dx, oy + step * dy, oz + step * dz, left - step
+        if not left > _ZERO:
+            return True
+    return True

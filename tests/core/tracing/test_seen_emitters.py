@@ -1,0 +1,122 @@
+"""What the camera sees of small emitters, against closed forms and against paths from the camera."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lipac.core.accel.blas import BlasCache
+from lipac.core.accel.tlas import Tlas
+from lipac.core.feedback.tiles import TILES, tile_means
+from lipac.core.scene import model as s
+from lipac.core.tracing.seen_emitters import POINTS, SMALL, SeenEmitters, seen_emitters
+from lipac.core.tracing.tracer import prepare, trace
+
+from .. import scenes
+from ..scenes import material
+
+SIZE = (160, 90)
+RADIANCE = 700.0
+SIDE = 0.004  # of an emitter, metres: 0.1 pixels at 4 metres
+PERSPECTIVE = scenes.look_at((0, -4, 0), (0, 0, 0))
+ORTHOGRAPHIC = dataclasses.replace(PERSPECTIVE, frame=np.array([-1.6, 1.6, -0.9, 0.9]), orthographic=True)
+WALL, GLASS, GLOW, ONE_SIDED = range(4)
+
+
+def facing(x: float, z: float, y: float = 0.0, side: float = SIDE) -> np.ndarray:
+    """A square at (x, y, z) whose front looks at a camera on -Y."""
+    return np.array([[side, 0, 0, x], [0, 0, -side, y], [0, side, 0, z]], float)
+
+
+def scene(extra: list[tuple[int, np.ndarray, int]], camera: s.Camera = PERSPECTIVE) -> s.Scene:
+    """Before a large wall of albedo 0.5 under a dim sky."""
+    one_sided = material(s.Shader.EMISSION, emission=RADIANCE)
+    one_sided["single_sided_emission"] = 1
+    materials = [
+        material(base_color=0.5),
+        material(s.Shader.GLASS),
+        material(s.Shader.EMISSION, emission=RADIANCE),
+        one_sided,
+    ]
+    wall = (0, facing(0, 0, 3, 60), WALL)
+    return scenes.build(
+        [scenes.quad()], [wall, *extra], materials, camera, None, (0.2, 0.2, 0.2), SIZE, s.PathLimits(total=0)
+    )
+
+
+def seen(built: s.Scene) -> SeenEmitters:
+    blas = BlasCache(built.meshes)
+    everything = np.ones(len(built.instances), bool)
+    blas.need(built.instances.mesh)
+    size = (built.film.width, built.film.height)
+    return seen_emitters(prepare(built, blas), Tlas(built.instances, blas, everything), size)
+
+
+def of_tiles(found: SeenEmitters) -> np.ndarray:
+    """(T,) red."""
+    return found.without(np.zeros(1000, bool))[:, 0]
+
+
+def pixels(camera: s.Camera, side: float, distance: float) -> float:
+    """That a square before the middle of the picture takes."""
+    across = (camera.frame[1] - camera.frame[0]) * (1 if camera.orthographic else distance)
+    return float((side / across * SIZE[0]) ** 2)
+
+
+@pytest.mark.parametrize("camera", [PERSPECTIVE, ORTHOGRAPHIC], ids=["perspective", "orthographic"])
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_a_speck_is_as_bright_as_its_area_on_the_picture(camera: s.Camera, one_sided: bool) -> None:
+    found = seen(scene([(0, facing(0.02, 0.02), ONE_SIDED if one_sided else GLOW)], camera))
+    expected = RADIANCE * pixels(camera, SIDE, 4) / (SIZE[0] * SIZE[1] / TILES)
+    assert len(found) == 1
+    assert found.instance[0] == 1
+    assert of_tiles(found).sum() == pytest.approx(expected, rel=0.02)  # its points are at angles of up to 0.3 degrees
+
+
+def test_of_a_one_sided_speck_the_back_is_dark() -> None:
+    turned = facing(0, 0)
+    turned[:, 0] *= -1
+    assert not len(seen(scene([(0, turned, ONE_SIDED)])))
+    assert len(seen(scene([(0, turned, GLOW)])))
+
+
+def test_paths_from_the_camera_find_the_same_in_every_tile() -> None:
+    """Twenty specks of up to two pixels, some half behind a strip of wall, by 2,000 paths per pixel."""
+    rng = np.random.default_rng(1)
+    x, z = rng.uniform(-1.4, 1.4, 20), rng.uniform(-0.7, 0.7, 20)
+    specks = [
+        (0, facing(a, b, 0.0, side), GLOW)
+        for a, b, side in zip(x.tolist(), z.tolist(), rng.uniform(0.01, 0.08, 20).tolist(), strict=True)
+    ]
+    strips = [(0, facing(a, 0.0, -0.1, 0.02) * [[1], [1], [100]], WALL) for a in x[:5].tolist()]
+    built = scene([*specks, *strips])
+    assert SMALL > 4
+    blas = BlasCache(built.meshes)
+    blas.need(built.instances.mesh)
+    means = []
+    for flags in (31, 0):  # with the specks, and without
+        instances = built.instances
+        instances = dataclasses.replace(instances, flags=instances.flags.copy())
+        instances.flags[1:21] = flags
+        shown = dataclasses.replace(built, instances=instances)
+        tlas = Tlas(instances, blas, np.ones(len(instances), bool))
+        means.append(tile_means(trace(prepare(built, blas).with_instances(shown.instances), tlas, 2000).mean))
+    found = seen(built).without(np.zeros(1000, bool)) @ [0.2126, 0.7152, 0.0722]
+    traced = means[0] - means[1]
+    assert traced.max() > 1
+    # of POINTS[1] points on each speck, and of 200,000 paths per tile
+    noise = 4 * RADIANCE * np.sqrt(2.0 / 200_000) + 4 * traced / np.sqrt(POINTS[1])
+    assert (np.abs(found - traced) <= noise).all()
+
+
+@pytest.mark.parametrize(("before", "visible"), [(WALL, False), (GLASS, True)])
+def test_what_is_surely_opaque_hides_a_speck_and_glass_does_not(before: int, visible: bool) -> None:
+    built = scene([(0, facing(0, 0), GLOW), (0, facing(0, 0, -1, 0.5), before)])
+    assert bool(len(seen(built))) == visible
+
+
+def test_a_speck_out_of_the_picture_and_one_as_large_as_a_tile_are_left_to_paths() -> None:
+    outside, large = facing(30, 0), facing(0, 0, 0.0, 0.5)
+    assert not len(seen(scene([(0, outside, GLOW), (0, large, GLOW)])))
