@@ -21,6 +21,7 @@ from ..core.error_budget.budget import Budget
 from ..core.evaluation.paired import MEASURES, Change, Pairs, Range
 from . import writeback
 from .batch.engines.blender import render_blender
+from .batch.engines.choices import CPU, DeviceChoice
 from .console import muted
 from .demo import family
 from .extract import extract_frame
@@ -52,11 +53,12 @@ def run(
     samples: int = SAMPLES,
     threads: int = 0,
     instances: int | None = None,
+    device: str = CPU,
 ) -> dict[str, Any]:
     """Build, analyse and judge the scene of a seed; what the record of it holds. The open file is replaced.
 
     size: of the pictures; samples: per pixel, of the first pairs; instances: rows of the scatter, None as the seed
-    draws. Raises InputError.
+    draws; device: of Cycles. Raises InputError.
     """
     drawn = family.draw(seed)
     with muted():
@@ -90,7 +92,7 @@ def run(
         with muted():
             record["stays"] = dict(writeback.apply(culled, keys).kept)
 
-    return record | judged(apply, drawn.mean, drawn.worst, samples, threads, SEED + 16 * seed)
+    return record | judged(apply, drawn.mean, drawn.worst, samples, threads, SEED + 16 * seed, device)
 
 
 def warm(threads: int = 0) -> None:
@@ -103,7 +105,7 @@ def warm(threads: int = 0) -> None:
 
 
 def judged(
-    apply: Callable[[], None], mean: float, worst: float, samples: int, threads: int, seed: int
+    apply: Callable[[], None], mean: float, worst: float, samples: int, threads: int, seed: int, device: str = CPU
 ) -> dict[str, Any]:
     """The verdict on the open file: rendered by Cycles as it is, and with what `apply` takes out of it, which is put
     back.
@@ -118,7 +120,7 @@ def judged(
             if name == "culled":
                 apply()
             for k in range(PAIRS):
-                picture, took = _render(each, seed + PAIRS * look + k, threads)
+                picture, took = _render(each, seed + PAIRS * look + k, threads, device)
                 shown.append(picture)
                 seconds += [took] if name == "full" and look == 0 else []
         with muted():
@@ -155,10 +157,10 @@ def _within(change: Change, mean: float | None, worst: float | None) -> Range:
     return change.times(np.inf if mean is None else mean, np.inf if worst is None else worst)
 
 
-def _render(samples: int, seed: int, threads: int) -> tuple[F32, float]:
+def _render(samples: int, seed: int, threads: int, device: str = CPU) -> tuple[F32, float]:
     """A picture of the open file by Cycles, (H, W, 4) float32, and the seconds that it took."""
     with tempfile.TemporaryDirectory(prefix="lipac") as folder:
         stem = Path(folder) / "picture"
-        took = render_blender("cycles", stem, samples, seed, threads).seconds
+        took = render_blender("cycles", stem, samples, seed, threads, device=DeviceChoice.parse(device)).seconds
         with muted():
             return read_picture(stem.with_suffix(".exr")), took

@@ -28,7 +28,7 @@ PIECES = "build"  # folder of finished pieces, which need not be kept
 def main(argv: Sequence[str]) -> int:
     """Evaluate what the command line says; returns the exit status."""
     from ..core.files.report import output_folder
-    from .command.arguments import count, path_count, resolution, seed_number, thread_count
+    from .command.arguments import count, device, path_count, resolution, seed_number, thread_count
     from .command.options import Parser
 
     parser = Parser(
@@ -94,6 +94,12 @@ def main(argv: Sequence[str]) -> int:
         "--time-limit", type=count, default=300, metavar="S", help="seconds for one scene (default: %(default)s)"
     )
     family.add_argument(
+        "--device",
+        type=device,
+        metavar="KIND",
+        help="where Cycles renders what is judged, as for lipac render (default: cpu)",
+    )
+    family.add_argument(
         "--stop-after",
         type=count,
         metavar="S",
@@ -134,7 +140,8 @@ def random_scenes(args: argparse.Namespace, folder: Path) -> int:
         raise InputError("--family makes its own scenes: name no SCENE")
     threads = args.threads or FAMILY_THREADS
     cores = processors()
-    plan = family.Plan(args.resolution, args.samples or FAMILY_SAMPLES, threads, args.time_limit, args.instances)
+    samples, device = args.samples or FAMILY_SAMPLES, str(args.device or family.DEVICE)
+    plan = family.Plan(args.resolution, samples, threads, args.time_limit, args.instances, device)
 
     def tell(line: str) -> None:
         if not args.quiet:

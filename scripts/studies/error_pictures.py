@@ -1,6 +1,6 @@
 """The picture and the table of docs/error.md: what the measure does not see.
 
-`python -m lipac.scripts.studies.error_pictures -o docs`. Three scenes, each rendered by Cycles in full and culled.
+`python -m lipac.scripts.studies.error_pictures -o docs`. Two scenes, each rendered by Cycles in full and culled.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ SIZE, SAMPLES = (1280, 720), 32
 SHOWN = (320, 180)  # pixels of a part that is shown
 BUDGET = Budget(0.01, 0.05)
 _PART = re.compile(r"(<!-- failures -->\n).*?(<!-- end -->)", re.DOTALL)
-SPECKS = 299  # seed of the scene of `lipac demo family` that docs/family.md records as broken
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -40,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for scene in SCENES:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         budget = scene()
-        frame, full, culled = _both(budget, SPECKS if scene is glowing_specks else 0)  # as the record was made
+        frame, full, culled = _both(budget)
         rows.append(_row(scene, budget, frame, full, culled))
         strips.append((scene, full, culled))
     head = (
@@ -121,24 +120,10 @@ def fine_pattern() -> Budget:
     return BUDGET
 
 
-def glowing_specks() -> Budget:
-    """specks that glow next to surfaces: few paths meet them, and each brings much light"""
-    import bpy
-
-    from ...lipac_addon.demo import family
-
-    drawn = family.draw(SPECKS)
-    family.build(None, SPECKS)
-    render = bpy.context.scene.render
-    render.resolution_x, render.resolution_y = family.SIZE
-    bpy.context.scene.cycles.samples = 8 * SAMPLES
-    return Budget(drawn.mean, drawn.worst)
+SCENES: tuple[Callable[[], Budget], ...] = (small_things, fine_pattern)
 
 
-SCENES: tuple[Callable[[], Budget], ...] = (small_things, fine_pattern, glowing_specks)
-
-
-def _both(budget: Budget, seed: int) -> tuple[dict[str, Any], Any, Any]:
+def _both(budget: Budget) -> tuple[dict[str, Any], Any, Any]:
     """The report's frame, and the pictures of the open scene, full and culled, (H, W, 3) linear."""
     import bpy
 
@@ -148,8 +133,8 @@ def _both(budget: Budget, seed: int) -> tuple[dict[str, Any], Any, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.blend"
         bpy.ops.wm.save_as_mainfile(filepath=str(path))
-        render(path, Path(folder) / "full", options=CullOptions(policy="none", seed=seed))
-        report = render(path, Path(folder) / "culled", budget, options=CullOptions(seed=seed))
+        render(path, Path(folder) / "full", options=CullOptions(policy="none"))
+        report = render(path, Path(folder) / "culled", budget)
         full, culled = (read_picture(Path(folder) / name / "frame_0001.exr")[..., :3] for name in ("full", "culled"))
     return report.frames[0], full, culled
 

@@ -27,6 +27,7 @@ from ..command.children import Child
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = (sys.executable, "-m", "lipac.scripts.studies.family")  # of a child process
+DEVICE = "cpu"
 RENEWED = 25  # scenes after which a process is replaced by a new one: what leaks does so no further
 BUDGETS = (0.003, 0.006, 0.012, 0.025, 0.06)  # of the mean: bins of the table
 PIXELS = (0.1, 0.5, 2.0, 10.0, 100.0)
@@ -56,7 +57,7 @@ NOTE = """
 Held: not surely broken by luminance or colour, noise taken off (3 standard errors); surely held: the upper end is
 within the budget too. Detail: beside it.
 Analysis: reading Blender's scene included, over the time that Cycles takes for 64 samples of the same
-picture with as many threads.
+picture with as many threads, where it renders on the CPU.
 """
 
 
@@ -65,7 +66,7 @@ class Plan:
     """What to do with each seed.
 
     size: of pictures; samples: of Cycles' first pairs; threads: of each job; limit: seconds for a scene; instances:
-    rows of each scatter, None as drawn.
+    rows of each scatter, None as drawn; device: of Cycles, as of `lipac render --device`.
     """
 
     size: tuple[int, int]
@@ -73,6 +74,7 @@ class Plan:
     threads: int
     limit: float
     instances: int | None = None
+    device: str = DEVICE
 
     def options(self) -> dict[str, Any]:
         """All that a record depends on, but for its seed."""
@@ -84,6 +86,7 @@ class Plan:
             "samples": self.samples,
             "threads": self.threads,
             "instances": self.instances,
+            "device": self.device,
             "code": digest(*sources)[:12],
         }
 
@@ -94,6 +97,7 @@ class Plan:
             "samples": self.samples,
             "threads": self.threads,
             "instances": self.instances,
+            "device": self.device,
             "number": number,
         }
         return Child(COMMAND, given, self.threads, self.limit)
@@ -117,7 +121,7 @@ def serve(given: dict[str, Any]) -> None:
 
         family_trial.warm(given["threads"])
         return lambda seed: family_trial.run(
-            seed, tuple(given["size"]), given["samples"], given["threads"], given["instances"]
+            seed, tuple(given["size"]), given["samples"], given["threads"], given["instances"], given["device"]
         )
 
     children.serve(prepare)
@@ -243,7 +247,8 @@ def _row(name: str, records: Sequence[dict[str, Any]]) -> str:
     surely = _percent(r["verdict"] == "held" for r in records)
     twice = sum(r["verdict"] == "twice" for r in records)
     kept = float(np.median([r["active"] / max(r["instances"], 1) for r in records]))
-    ratio = float(np.median([r["analysis_s"] / r["cycles_64_s"] for r in records]))
+    on_cpu = [r["analysis_s"] / r["cycles_64_s"] for r in records if r["options"].get("device", DEVICE) == DEVICE]
+    ratio = f"{np.median(on_cpu):.2f}" if on_cpu else ""
     cells = (
         held("verdict"),
         surely,
@@ -252,7 +257,7 @@ def _row(name: str, records: Sequence[dict[str, Any]]) -> str:
         twice,
         held("verdict_detail"),
         f"{100 * kept:.3g} %",
-        f"{ratio:.2f}",
+        ratio,
     )
     return f"| {name} | {len(records)} | " + " | ".join(map(str, cells)) + " |"
 

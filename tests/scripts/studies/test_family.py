@@ -103,7 +103,7 @@ def test_time_is_kept(tmp_path: Path, fake: None, monkeypatch: pytest.MonkeyPatc
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for more in (["scene.blend"], ["--first", "-1"]):
+    for more in (["scene.blend"], ["--first", "-1"], ["--device", "abacus"]):
         assert lipac.main(["evaluate", "--family", "2", "-o", str(tmp_path), *more]) == 2
         assert capfd.readouterr().err.count("\n") == 1
 
@@ -114,6 +114,7 @@ def test_a_real_scene_is_judged(tmp_path: Path) -> None:
     assert lipac.main(["evaluate", "--family", "1", "--first", "103", "-o", str(tmp_path), *options]) == 0
     record = records(tmp_path)[103]
     assert "failed" not in record, record
+    assert record["options"]["device"] == "cpu"
     assert record["draw"]["kind"] == "confetti"
     assert 200 <= record["instances"] <= 212
     assert 0 < record["active"] < record["instances"]
