@@ -1,12 +1,17 @@
-"""What the site is besides docs/: README as its first page, and no links to files that are not on it."""
+"""What the site is besides docs/: README as its first page, no links to files that are not on it, and formulas as
+MathML, which browsers show by themselves: only the flow charts of a few pages load a script (Mermaid) from the net."""
 
+import html
 import re
 from pathlib import Path
 from typing import Any
 
+from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[1]
+_FORMULA = re.compile(r'<(span|div) class="arithmatex">\s*\\[(\[](.*?)\\[)\]]\s*</\1>', re.DOTALL)
+_NUMBER = re.compile(r"\\tag\{(\w+)\}")
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -20,3 +25,16 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Links out of docs/ are text: the site has no repository beside it."""
     return re.sub(r"\[([^\]]+)\]\(\.\./[^)]*\)", r"\1", markdown)
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Formulas as MathML. Their numbers, which it has no word for, stand behind them."""
+    return _FORMULA.sub(lambda found: _formula(html.unescape(found[2]), found[1] == "div"), content)
+
+
+def _formula(tex: str, is_block: bool) -> str:
+    number = _NUMBER.search(tex)
+    shown = convert(_NUMBER.sub("", tex), display="block" if is_block else "inline")
+    if not is_block:
+        return shown
+    return f'<div class="formula">{shown}<span>{f"({number[1]})" if number else ""}</span></div>'

@@ -17,7 +17,7 @@ from ..core.files.report import SECONDS
 from ..lipac_addon.batch.engines.choices import CPU, GPU_KINDS
 from .studies import compare
 from .studies.compare import CULLED, FULL, OTHER_SEED, markdown
-from .studies.machine import machine
+from .studies.machine import made_by
 
 PEERS = ("rays", "feedback", "paths", "extraction", "city", "compiling")
 FLYTHROUGH = ("flythrough", "shot")
@@ -62,7 +62,7 @@ def main(argv: Sequence[str]) -> int:
         return _gpu(folder, args)
     if args.run:
         result = measure(args.run, folder, args.repeats)
-        (folder / f"{args.run}.json").write_text(json.dumps(result | {"machine": machine()}, indent=1) + "\n")
+        (folder / f"{args.run}.json").write_text(json.dumps(result | {"machine": made_by()}, indent=1) + "\n")
         return 0
     only = args.only or []
     group = ANIMATION if "animation" in only else () if only else PEERS
@@ -371,7 +371,7 @@ def report(results: dict[str, Any]) -> str:
         notes.append(f"Mean radiance of the spheres: {means}. Cycles' speed is that of its sampling alone.")
     if "city" in results:
         notes.append(f"The city: `{results['city']['command']}`, with and without `--cull none`.")
-    return "\n\n".join(["# Benchmarks", f"`lipac bench` on {'; '.join(machines)}.", markdown(rows), *notes]) + "\n"
+    return "\n\n".join(["# Benchmarks", f"`lipac bench`: {'; '.join(machines)}.", markdown(rows), *notes]) + "\n"
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from typing import Any
 from ..core.errors import InputError
 from ..core.progress import Progress, part
 from ..core.threads import processors
-from .studies.machine import machine
+from .studies.machine import made_by
 
 SIZE = (320, 180)
 SAMPLES, FAMILY_SAMPLES, FAMILY_THREADS = 16, 64, 2
@@ -185,7 +185,7 @@ def evaluate(
     evaluation = core.Evaluation(scene, settings, folder / PIECES, part(progress, 0.0, 0.05), cancelled)
     evaluation.run(part(progress, 0.05, 0.9))
     summary: dict[str, Any] = {
-        "machine": machine(),
+        "made_by": made_by(),
         "scene": args.scene.name,
         "size": list(args.resolution),
         "samples": evaluation.judge.samples,
@@ -249,7 +249,9 @@ def everything(args: argparse.Namespace, folder: Path) -> int:
             return status
         worst = max(worst, status)
     text = report.results(folder)
-    (folder.parent / "results.md").write_text(text)
+    page = folder.parent / "results.md"
+    head = page.read_text().split(report.MARK)[0] if page.exists() else "# Results\n\n"
+    page.write_text(f"{head}{report.MARK}\n\n{text}")
     print(text)
     return worst
 

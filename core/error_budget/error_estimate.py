@@ -25,12 +25,11 @@ from numpy.typing import NDArray
 from ..arrays import F32, F64, I32
 from ..feedback.hits import sparse_zeros
 from ..feedback.path_log import RECORD, PathLog, attribute_to_first_hit, numbers
-from ..feedback.tiles import DARK, TILES, tiles_of
+from ..feedback.tiles import BLOCK, DARK, TILES, tiles_of
 from ..scene.film import LUMINANCE
 from .budget import Budget
 
 CONFIDENCE = 0.95  # that both bounds hold, of what is certified
-BLOCK = 3  # pixels
 NEAR = 4.0  # deviations: a tile that is nearer than this to its bound may break it
 _TINY = 1e-30
 

@@ -19,7 +19,8 @@ from ..culling.options import CullOptions
 from ..error_budget.error_estimate import ErrorEstimate, Light, Reference
 from ..feedback.hits import Weights
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import tile_changes, tile_means
+from ..feedback.picture_change import tile_changes
+from ..feedback.tiles import tile_means
 from ..progress import Progress, part, silent
 from ..scene.model import Scene
 from .metrics import linear_error
@@ -30,8 +31,8 @@ TWO_SIDED_95 = 1.96  # standard deviations of a normal distribution
 
 
 def picture_change(full: F32, other: F32) -> tuple[float, float]:
-    """Relative change between two pictures, (H, W, 3 or 4) float32: mean over the coarse tiles and of the worst one,
-    noise included."""
+    """Relative change between two pictures, (H, W, 3 or 4) float32, by luminance and colour as the budget counts it:
+    mean over the coarse tiles and of the worst one. The noise of tiles is included, that of single blocks is not."""
     size = tile_changes(full, other)
     return float(size.mean()), float(size.max())
 

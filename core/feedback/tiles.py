@@ -11,6 +11,7 @@ from ..scene.film import LUMINANCE
 
 COLUMNS, ROWS = 16, 9
 TILES = COLUMNS * ROWS
+BLOCK = 3  # pixels of the analysis picture: what is finer is averaged
 DARK = 0.01  # of the mean luminance: darker tiles are judged against this, below which no display shows a change
 
 
@@ -25,12 +26,6 @@ def tile_means(picture: F32) -> F64:
     luminance = picture[..., :3].astype(np.float64) @ LUMINANCE
     tile = tiles_of(*luminance.shape).ravel()
     return np.bincount(tile, luminance.ravel(), TILES) / np.maximum(np.bincount(tile, minlength=TILES), 1)
-
-
-def tile_changes(full: F32, other: F32) -> F64:
-    """Relative change of the tiles between two pictures, (H, W, 3 or 4) float32, linear, noise included: (TILES,)."""
-    a, b = tile_means(full), tile_means(other)
-    return np.asarray(np.abs(b - a) / np.maximum(a, max(DARK * float(a.mean()), 1e-30)))
 
 
 def marks(samples: I64, height: int, width: int) -> NDArray[np.uint8]:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..arrays import F32, U8
-from ..feedback.tiles import COLUMNS, ROWS, tile_changes
+from ..feedback.picture_change import tile_changes
+from ..feedback.tiles import COLUMNS, ROWS
 
 if TYPE_CHECKING:
     from PIL.Image import Image

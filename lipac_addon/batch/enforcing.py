@@ -32,12 +32,15 @@ def verified(
         return {}
     from .verify import verified_blender, verified_path
 
+    width = job.options.width
     start, stem = time.perf_counter(), job.folder / "verified" / job.stem(frame).name
     if scene is None or active is None:
-        found = verified_blender(job.engine, stem, job.samples, job.seed, job.threads, job.verify, progress, job.device)
+        found = verified_blender(
+            job.engine, stem, job.samples, job.seed, job.threads, job.verify, progress, job.device, width
+        )
     else:
         samples = job.samples or samples_of(bpy.context.scene, "path")
-        found = verified_path(scene, active, stem, samples, job.seed, job.threads, job.verify, cancelled)
+        found = verified_path(scene, active, stem, samples, job.seed, job.threads, job.verify, cancelled, width)
     return {**found.entry(), "verify_s": time.perf_counter() - start}
 
 

@@ -18,13 +18,13 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import F32, F64
+from ...core.arrays import F32
 from ...core.culling.loop import Loop
 from ...core.culling.options import CullOptions
 from ...core.error_budget.budget import Budget
-from ...core.feedback.tiles import COLUMNS, DARK, ROWS
+from ...core.feedback.picture_change import WIDTH, change_of
+from ...core.feedback.tiles import BLOCK, COLUMNS, ROWS
 from ...core.progress import Progress, part, silent
-from ...core.scene.film import LUMINANCE
 from ...core.scene.model import Scene
 from .. import writeback
 from ..console import muted
@@ -44,8 +44,8 @@ Crop = tuple[int, int]
 
 @dataclass(frozen=True)
 class Verified:
-    """Relative change of the coarse tiles of the crops: their mean, and the worst of them. crops: (K,) columns and rows
-    of GRID, rows from the bottom.
+    """Relative change of the coarse tiles of the crops, by luminance and colour as the budget counts it: their mean,
+    and the worst of them. crops: (K,) columns and rows of GRID, rows from the bottom.
 
     least_mean, least_worst: what is left of both when what noise may make is taken off, by the pixels' differences: of
     each tile the mean size of its noise, and NOISE standard errors of all tiles; of the worst tile as many standard
@@ -106,9 +106,10 @@ def verified_blender(
     count: int,
     progress: Progress = silent,
     device: DeviceChoice = AS_SET,
+    width: int = WIDTH,
 ) -> Verified:
     """The change of so many crops of the open file's current frame, whose culling is applied and is not afterwards;
-    options as of `render_blender`, and stem as of `save_crops`."""
+    options as of `render_blender`, stem as of `save_crops`, width as of `change`."""
     crops, start = random_crops(count, seed), time.perf_counter()
     culled = _blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.0, 0.3, "culled, "))
     with muted():
@@ -117,7 +118,7 @@ def verified_blender(
     full = _blender_crops(engine, samples, seed, threads, device, crops, part(progress, 0.3, 1.0, "full, "))
     end = time.perf_counter()
     save_crops(full, culled, crops, stem)
-    return replace(change(full, culled, crops), full_s=end - between, culled_s=between - start)
+    return replace(change(full, culled, crops, width), full_s=end - between, culled_s=between - start)
 
 
 def verified_path(
@@ -129,13 +130,14 @@ def verified_path(
     threads: int,
     count: int,
     cancelled: Callable[[], bool],
+    width: int = WIDTH,
 ) -> Verified:
     """The change of so many crops of a core scene by the path tracer, with only active, (N,) bool, in it; stem as of
-    `save_crops`. Raises Cancelled."""
+    `save_crops`, width as of `change`. Raises Cancelled."""
     crops = random_crops(count, seed)
     full, culled = _path_crops(scene, active, samples, seed, threads, crops, cancelled)
     save_crops(full, culled, crops, stem)
-    return change(full, culled, crops)
+    return change(full, culled, crops, width)
 
 
 def save_crops(full: list[F32], culled: list[F32], crops: tuple[Crop, ...], stem: Path) -> None:
@@ -211,38 +213,18 @@ def _path_crops(
     return [full[place] for place in places], [culled[place] for place in places]
 
 
-def change(full: list[F32], culled: list[F32], crops: tuple[Crop, ...]) -> Verified:
-    """The change between crops that were rendered full and culled."""
-    a = np.concatenate([_tiles(_luminance(p)) for p in full])
-    d = [_luminance(q) - _luminance(p) for p, q in zip(full, culled, strict=True)]
-    change, square, count = (
-        np.concatenate([_tiles(x) for x in each])
-        for each in (d, [x**2 for x in d], [np.full(x.shape, 1 / _per_tile(x)) for x in d])
-    )
-    light = np.maximum(a, max(DARK * float(a.mean()), 1e-30))
-    size, noise = np.abs(change) / light, np.sqrt(np.maximum(square - change**2, 0.0) * count) / light
-    least_mean = size.mean() - np.sqrt(2 / np.pi) * noise.mean() - NOISE * np.sqrt((noise**2).sum()) / len(size)
-    least_worst = (size - NORMAL.inv_cdf(1 - (1 - NORMAL.cdf(NOISE)) / len(size)) * noise).max()
-    least = max(float(least_mean), 0.0), max(float(least_worst), 0.0)
+def change(full: list[F32], culled: list[F32], crops: tuple[Crop, ...], width: int = WIDTH) -> Verified:
+    """The change between crops that were rendered full and culled. width: of the analysis picture, whose blocks
+    count."""
+    block = full[0].shape[1] * GRID[0] * BLOCK / width
+    found = change_of(full, culled, ROWS // GRID[1], COLUMNS // GRID[0], block)
+    tiles = found.tiles
+    rare = NORMAL.inv_cdf(1 - (1 - NORMAL.cdf(NOISE)) / (2 * len(tiles)))  # the worst of so many, by two measures
     return Verified(
-        float(size.mean()), float(size.max()), *least, crops, tuple(map(tuple, size.reshape(len(crops), -1).tolist()))
-    )
-
-
-def _luminance(crop: F32) -> F64:
-    return np.asarray(crop[..., :3].astype(np.float64) @ LUMINANCE)
-
-
-def _per_tile(crop: F64) -> float:
-    """Pixels of a crop's coarse tiles, about."""
-    return max(crop.size / (COLUMNS // GRID[0] * (ROWS // GRID[1])), 1.0)
-
-
-def _tiles(luminance: F64) -> F64:
-    """Means over the coarse tiles of a crop's pixels (h, w)."""
-    columns, rows = COLUMNS // GRID[0], ROWS // GRID[1]
-    y, x = (np.arange(n) * of // n for n, of in zip(luminance.shape, (rows, columns), strict=True))
-    tile = (y[:, None] * columns + x[None, :]).ravel()
-    return np.bincount(tile, luminance.ravel(), rows * columns) / np.maximum(
-        np.bincount(tile, minlength=rows * columns), 1
+        float(tiles.mean()),
+        float(tiles.max()),
+        found.least_mean(NOISE),
+        found.least_worst(rare),
+        crops,
+        tuple(map(tuple, tiles.reshape(len(crops), -1).tolist())),
     )

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..studies.machine import machine
+from ..studies.machine import stamp
 
 if TYPE_CHECKING:
     from ...tests.hard.case import Case, Figure
@@ -47,7 +48,7 @@ def main(argv: Sequence[str]) -> int:
         print(text)
     else:
         head = args.output.read_text().split(MARK)[0] if args.output.exists() else ""
-        args.output.write_text(f"{head}{MARK}\n\nMeasured on {machine()}.\n\n{text}\n")
+        args.output.write_text(f"{head}{MARK}\n\n{textwrap.fill(stamp('make accuracy'), 120)}\n\n{text}\n")
     print(
         "\n".join(f"does not hold: {line}" for line in broken) or f"all {sum(len(f) for _, f in results)} hold",
         file=sys.stderr,

@@ -11,6 +11,7 @@ import argparse
 import json
 import statistics
 import sys
+import textwrap
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from ..command.children import Child, serve
+from ..studies.machine import made_by
 
 EVERY = 50  # scenes from one writing of the record to the next
 COMMAND = (sys.executable, "-m", "lipac.scripts.dev.fuzz", "child")  # of a child process
@@ -97,7 +99,7 @@ def write(path: Path, record: dict[str, Any]) -> None:
     """Write a record, and the page of one that has scenes."""
     path.write_text(json.dumps(record, indent=None if "scenes" in record else 1, default=float) + "\n")
     if "scenes" in record:
-        path.with_suffix(".md").write_text(page(record))
+        path.with_suffix(".md").write_text(f"{page(record)}\n{textwrap.fill(f'Measured by {made_by()}.', 120)}\n")
 
 
 @contextmanager

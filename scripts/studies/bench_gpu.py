@@ -22,7 +22,7 @@ from typing import Any
 from ...core.files.atomic import replacing
 from ...core.files.report import size
 from .compare import markdown
-from .machine import machine
+from .machine import made_by
 
 SCENES = {"mirror-city": 1_000_000, "crowd": 2_000, "textures": 48}
 FULL, CULLED, BAKED = "full", "culled", "baked"
@@ -58,7 +58,7 @@ def run(folder: Path, plan: Plan) -> str:
     """Measure what is not there yet, and return the page that DIR/gpu.md then is."""
     file, end = folder / "gpu.json", time.monotonic() + plan.within
     data: Row = json.loads(file.read_text()) if file.exists() else {"measured": {}, "prepared": {}}
-    data["machine"] = f"{machine()}, {_card() or 'no NVIDIA card'}"
+    data["machine"] = f"{made_by()}, {_card() or 'no NVIDIA card'}"
     for scene, device, samples, way in plan.cases():
         name = f"{scene}-{plan.scenes[scene]} {plan.size[0]}x{plan.size[1]} {device} {samples} {way}"
         if "render_s" in data["measured"].get(name, {}) and not plan.again:
@@ -298,7 +298,7 @@ def page(data: Row) -> str:
         "on the card",
         "host memory",
     )
-    out = [f"`lipac bench --only gpu` on {data['machine']}.", ""]
+    out = [f"`lipac bench --only gpu`: {data['machine']}.", ""]
     for scene, lines in rows.items():
         out += [f"### {scene}", "", markdown([head, *lines]), ""]
     analyses = [

@@ -133,7 +133,7 @@ def rebuilds(repeats: int) -> dict[str, list[Took]]:
 
 def report(times: dict[str, list[Took]], count: int) -> str:
     """The table, as a page."""
-    from .machine import machine
+    from .machine import stamp
 
     what = {
         "camera": ("tick that reads the scene after the camera moved", f"<= {TICK_MS:g} ms"),
@@ -148,7 +148,7 @@ def report(times: dict[str, list[Took]], count: int) -> str:
         if name in times:
             thread, wall = (statistics.median(t[k] for t in times[name]) * 1000 for k in (0, 1))
             rows.append(f"| {text} | {thread:.2f} ms | {wall:.2f} ms | {bound} |")
-    head = f"`python -m lipac.scripts.studies.bench_live` on {machine()}: the demo city, {count:,} instances."
+    head = f"{stamp('python -m lipac.scripts.studies.bench_live')} The demo city, {count:,} instances."
     return "\n".join(
         [
             "# Live mode, measured",

@@ -215,7 +215,7 @@ def flown(out: Flight) -> list[tuple[OutSet, dict[int, F32]]]:
 
 def lines_of(found: Flight, instances: int, drawn: Sequence[int]) -> list[str]:
     """What came of a flight."""
-    from .machine import machine
+    from .machine import made_by
 
     frames, full, culled = found.frames, found.full, found.culled
     errors = np.array([picture_change(a, b) for a, b in zip(full, culled, strict=True)])
@@ -243,7 +243,7 @@ def lines_of(found: Flight, instances: int, drawn: Sequence[int]) -> list[str]:
     return [
         "# Live culling in the viewport, measured",
         "",
-        f"`python -m lipac.scripts.studies.bench_viewport` on {machine()}: frames {frames[0]} to {frames[-1]} of "
+        f"`python -m lipac.scripts.studies.bench_viewport`: {made_by()}. Frames {frames[0]} to {frames[-1]} of "
         f"`flythrough`, {instances:,} instances, {ROUNDS} round of live mode a frame, {RATE:.0f} frames a second by "
         f"its clock; Cycles, {SIZE[0]} x {SIZE[1]}, {SAMPLES} samples, with the same random numbers.",
         "",

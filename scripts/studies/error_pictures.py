@@ -32,8 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     import bpy
 
-    from ...version import __version__
-    from .machine import machine
+    from .machine import stamp
 
     rows, strips = [], []
     for scene in SCENES:
@@ -47,12 +46,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         "allowed: mean, worst tile",
         "instances kept",
         "certified",
-        "luminance, by Cycles",
+        "change, by Cycles",
         "largest change of a pixel",
     )
     table = [head, ("---",) * len(head), *rows]
-    stamp = f"LiPaC {__version__} on {machine()}; Cycles on the CPU, {SAMPLES} samples per pixel."
-    text = "\n".join("| " + " | ".join(row) + " |" for row in table) + "\n\n" + textwrap.fill(stamp, 120)
+    said = stamp("python -m lipac.scripts.studies.error_pictures -o docs")
+    said += f" Cycles on the CPU, {SAMPLES} samples per pixel."
+    text = "\n".join("| " + " | ".join(row) + " |" for row in table) + "\n\n" + textwrap.fill(said, 120)
     page = args.output / "error.md"
     page.write_text(_PART.sub(lambda part: f"{part[1]}{text}\n{part[2]}", page.read_text()))
     _draw(strips, args.output / "pictures" / "failures.png")

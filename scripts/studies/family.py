@@ -12,6 +12,7 @@ import json
 import os
 import queue
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -24,6 +25,7 @@ import numpy as np
 
 from ..command import children
 from ..command.children import Child
+from .machine import made_by
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = (sys.executable, "-m", "lipac.scripts.studies.family")  # of a child process
@@ -185,7 +187,7 @@ def main(seeds: range, folder: Path, plan: Plan, jobs: int, stop_after: float, t
             child.end()
     records = read(folder)
     _write(folder / "family.json", json.dumps(records, default=float))
-    text = table(records)
+    text = table(records) + "\n" + textwrap.fill(f"Measured by {made_by()}.", 120) + "\n"
     _write(folder / "family.md", text)
     print(text)
     for line in sorted(set(problems)):

@@ -61,5 +61,8 @@ def test_the_site(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
         build(load_config(str(ROOT / "mkdocs.yml"), site_dir=str(tmp_path)))
     assert not [record.getMessage() for record in caplog.records if record.name.startswith("mkdocs")]
     page = (tmp_path / "method.html").read_text()
-    assert page.count('<div class="arithmatex">') > 8  # equations
+    assert page.count('<div class="formula"><math') > 8 and page.count("<math") > 90
+    assert "arithmatex" not in page and "\\tag" not in page  # none is left as it was written
     assert 'class="mermaid"' in page
+    for file in tmp_path.rglob("*.html"):  # a page loads nothing from the net; Mermaid's script is loaded by another
+        assert not re.search(r'<(?:script|link|img)[^>]+(?:src|href)="(?:https?:)?//', file.read_text()), file

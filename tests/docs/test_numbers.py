@@ -83,7 +83,7 @@ def test_missed_targets_are_marked() -> None:
 
 CONSTANTS = {
     "TILES": f"{tiles.COLUMNS} \\times {tiles.ROWS}",
-    "BLOCK": error_estimate.BLOCK,
+    "BLOCK": tiles.BLOCK,
     "DARK": tiles.DARK,
     "RECORD": path_log.RECORD,
     "MAX_VERTICES": path_state.MAX_VERTICES,

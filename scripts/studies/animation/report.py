@@ -35,7 +35,7 @@ def write(folder: Path, results: dict[str, Part]) -> str:
     machines = "; ".join(sorted({part["machine"] for part in results.values()}))
     head = [
         "# Animation",
-        f"Written by `lipac bench --only animation` (`make animation`) on {machines}. Seconds are of a machine that "
+        f"Written by `lipac bench --only animation` (`make animation`): {machines}. Seconds are of a machine that "
         "had other work to do, ",
     ]
     head[1] += "so each table compares what took turns in one run."

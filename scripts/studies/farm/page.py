@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +21,7 @@ from ....core.files.report import size
 from ....core.progress import clock
 from ....lipac_addon.farm.analyse import note_of
 from ....lipac_addon.farm.layout import FarmShot, read_json, write_json
+from ..machine import made_by, measured_by
 from .makespan import STEPS, Farm, Measured, in_full, simulate
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -40,7 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         FOLDER.mkdir(exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="lipac") as place:
             asked = ["--frames", args.frames, "--resolution", args.resolution, "--samples", args.samples]
-            write_json(FOLDER / "measured.json", measure(args.measure, Path(place), asked))
+            found = measure(args.measure, Path(place), asked)
+            write_json(FOLDER / "measured.json", {"made_by": made_by(), **found})
     found = json.loads((FOLDER / "measured.json").read_text())
     measured = Measured(**{name: found[name] for name in Measured.__dataclass_fields__})
     plot(measured, FOLDER / "makespan.svg")
@@ -188,6 +191,8 @@ def measured_table(found: dict[str, Any]) -> str:
             "",
             *head,
             *lines,
+            "",
+            textwrap.fill(measured_by(found), 120),
         ]
     )
 

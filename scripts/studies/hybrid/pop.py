@@ -27,6 +27,7 @@ from ....core.culling.options import CullOptions
 from ....core.files.atomic import replacing
 from ....core.scene.film import LUMINANCE
 from ..evaluate_report import shown
+from ..machine import made_by
 from .report import pictures_folder, pop, write_page
 
 FRAMES = 9
@@ -62,6 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     result = measure(FRAMES, (160, 90), args.samples)
     args.output.mkdir(parents=True, exist_ok=True)
     figures = {
+        "made_by": made_by(),
         "kept": result.kept,
         "shadow": result.shadow,
         "pop": result.pop,

@@ -12,6 +12,7 @@ import numpy as np
 
 from ....core.files.atomic import replacing
 from ..compare import markdown
+from ..machine import measured_by
 
 TRUTH, RASTER, WHOLE, CULLED, ROUGH, NOTHING, RAW = (
     "Cycles",
@@ -45,10 +46,10 @@ def sections(folder: Path) -> str:
     text = "".join(
         "\n" + section(json.loads((folder / name).read_text())) for name, section in parts if (folder / name).exists()
     )
-    return _wrapped(text)
+    return wrapped(text)
 
 
-def _wrapped(text: str) -> str:
+def wrapped(text: str) -> str:
     """Markdown whose prose has lines of at most 120 columns."""
     blocks = [
         b if not b or b.startswith(("#", "|", "!", "-", "\n#")) else b[: len(b) - len(b.lstrip("\n"))] + _filled(b)
@@ -133,6 +134,7 @@ def results(measured: dict[str, Any]) -> str:
         "Bytes of the culled picture over those of the unculled one, hitboxes included. Overlap: share of the frame "
         "in which both threads worked."
     ]
+    lines += [measured_by(measured)]
     lines += ["", markdown([(*head, "kept", "BLAS", "BLAS and TLAS", "overlap"), *body]), ""]
     lines += ["relMSE of the linear pictures:", "", markdown([(*head, RAW), *linear]), ""]
     lines += mixtures(measured["scenes"])
@@ -210,7 +212,8 @@ def pop(figures: dict[str, Any]) -> str:
         "Brightness of the slab's shadow over that of the lit floor, and how much the shadow, less that of the "
         "unculled frame, differs from the"
     ]
-    lines += ["frame before; by what stands in for the shadow of the culled slab.", "", markdown(rows), ""]
+    lines += [f"frame before; by what stands in for the shadow of the culled slab. {measured_by(figures)}"]
+    lines += ["", markdown(rows), ""]
     lines += [
         "The frame before the slab is culled and the first one without it: unculled, with the raster's shadow maps, "
         "with nothing in their place.",

@@ -28,6 +28,7 @@ from ....core.files.atomic import replacing
 from ....core.files.digest import digest
 from ...evaluate import SUPPLIED
 from ..compare import lipac, pictures
+from ..machine import made_by
 from . import report
 from .report import (
     CULLED,
@@ -126,6 +127,7 @@ def write(results: dict[str, Any], output: Path) -> None:
     """DIR/hybrid.json, scenes in the order of SCENES; and its tables in DIR/../results.md."""
     for part_of in ("scenes", "cost"):
         results[part_of] = {name: results[part_of][name] for name in SCENES if name in results[part_of]}
+    results["made_by"] = made_by()
     with replacing(output / "hybrid.json") as part:
         part.write_text(json.dumps(results, indent=1) + "\n")
     write_page(output)

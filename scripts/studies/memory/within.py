@@ -13,6 +13,7 @@ import json
 import re
 import subprocess
 import sys
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from typing import Any
 from ....core.files.atomic import replacing
 from ...evaluate import SUPPLIED
 from ..compare import markdown
-from ..machine import machine
+from ..machine import stamp
 
 OPTIONS = ("--resolution", "320x180", "--samples", "4", "--device", "cpu", "--quiet")
 # what changes the picture goes for want of memory alone, and few paths say how much that is
@@ -149,7 +150,7 @@ def page(data: dict[str, Row]) -> str:
         f"Targets: {', '.join(f'{100 * s:.0f} %' for s in SHARES)} of the way from the least that a scene can take to\n"
         f"all of it, with `{' '.join(EXACT)}`."
     )
-    head = f"`python -m lipac.scripts.studies.memory.within` on\n{machine()}."
+    head = textwrap.fill(stamp("python -m lipac.scripts.studies.memory.within"), 120)
     return "\n\n".join([head, markdown(full), markdown(rows), text]) + "\n"
 
 

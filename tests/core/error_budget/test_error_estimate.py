@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from lipac.core.error_budget.budget import Budget
-from lipac.core.error_budget.error_estimate import BLOCK, ErrorEstimate, Light, Reference
+from lipac.core.error_budget.error_estimate import ErrorEstimate, Light, Reference
 from lipac.core.feedback.path_log import PathLog
-from lipac.core.feedback.tiles import COLUMNS, ROWS, TILES, tiles_of
+from lipac.core.feedback.tiles import BLOCK, COLUMNS, ROWS, TILES, tiles_of
 from lipac.core.scene.film import LUMINANCE
 
 HEIGHT, WIDTH = ROWS * 2 * BLOCK, COLUMNS * 2 * BLOCK  # tiles of 2 x 2 blocks
