@@ -74,16 +74,15 @@ def change_of(
     block: pixels of a block's side (default: those of BLOCK pixels in a picture WIDTH pixels wide). Tiles that are
     darker than DARK of the mean of all are judged against that.
     """
-    tiles, blocks, owners, pixels, light = [], [], [], [], []
+    parts, count = [], 0
     for k, (a, b) in enumerate(zip(full, other, strict=True)):
         side = max(block or a.shape[1] * BLOCK / WIDTH, LEAST)
         tile, number, owner = _cells(a.shape[0], a.shape[1], rows, columns, side)
-        tiles.append(tile + k * rows * columns)
-        blocks.append(number + sum(map(len, owners)))
-        owners.append(owner + k * rows * columns)
-        light.append(a[..., :3].reshape(-1, 3).astype(np.float64))
-        pixels.append(b[..., :3].reshape(-1, 3).astype(np.float64) - light[-1])
-    return _change(*map(np.concatenate, (light, pixels, tiles, blocks, owners)), rows * columns * len(full))  # type: ignore[arg-type]
+        first, second = (x[..., :3].reshape(-1, 3).astype(np.float64) for x in (a, b))
+        parts.append((first, second - first, tile + k * rows * columns, number + count, owner + k * rows * columns))
+        count += len(owner)
+    light, change, tile, number, owner = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return _change(light, change, tile, number, owner, rows * columns * len(full))
 
 
 def _change(

@@ -79,7 +79,8 @@ def measured(work: Path, instances: int, samples: int, repeats: int) -> dict[str
 
 def rows_of(found: dict[tuple[int, int], dict[str, Figures]]) -> list[tuple[str, ...]]:
     """The table, its head first."""
-    rows = [("instances", "samples", "everything", "culled, analysis included", "ratio", "peak memory", "stay")]
+    head = ("instances", "samples", "everything", "culled, analysis included", "ratio", "peak memory", "stay")
+    rows: list[tuple[str, ...]] = [head]
     for (count, samples), ways in found.items():
         full, culled = ways[FULL], ways[CULLED]
         ratio = full["command"] / culled["command"]

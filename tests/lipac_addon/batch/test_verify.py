@@ -16,6 +16,7 @@ from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation.judge import picture_change
 from lipac.core.files.report import Report
 from lipac.core.page.pictures import of_crops
+from lipac.core.scene.film import LUMINANCE
 from lipac.lipac_addon.batch import enforcing, session
 from lipac.lipac_addon.batch import verify as verifying
 from lipac.lipac_addon.batch.job import Job
@@ -128,6 +129,17 @@ def test_noise_of_few_pixels_breaks_no_budget() -> None:
     assert min(one.mean for one in found) > 0.1
     assert sum(one.least_mean > 0 for one in found) == 0
     assert sum(one.least_worst > 0.05 for one in found) <= 2
+
+
+def test_colours_of_equal_luminance_break_a_budget() -> None:
+    """Red and green for grey, as the budget counts it: nothing by luminance, and surely above it by colour."""
+    full = np.ones((60, 80, 4), np.float32)
+    culled = full.copy()
+    culled[..., 0], culled[..., 1] = 1 + 0.1 / LUMINANCE[0], 1 - 0.1 / LUMINANCE[1]
+    assert np.abs((culled - full)[..., :3] @ LUMINANCE).max() < 1e-6
+    found = change([full], [culled], ((0, 0),))
+    assert found.mean == pytest.approx(np.sqrt(((0.1 / LUMINANCE[:2]) ** 2).sum() / 3), rel=1e-5)
+    assert found.breaks(Budget(0.1, 0.5)) and not found.breaks(Budget(0.5, 0.5))
 
 
 @pytest.mark.parametrize("enforce", [False, True])
