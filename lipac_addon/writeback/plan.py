@@ -140,17 +140,73 @@ def by_source(columns: Columns, members: Mask) -> Mask:
     return ((kind == Kind.OBJECT) | (kind == Kind.DUPLI) | (parts & members[ob])) & (ob >= 0)
 
 
-class Planner:
-    """The steps of `make_plan`; `removed` and `reasons` fill up on the way."""
+def hosts(columns: Columns, kind: Kind) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """Name index and instance indices of each host of a kind."""
+    chosen = np.flatnonzero((columns.kind == kind) & (columns.host >= 0))
+    host = columns.host[chosen]
+    if len(host) and (host[0] == host).all():
+        yield int(host[0]), chosen
+        return
+    order = np.argsort(host, kind="stable")
+    numbers, first = np.unique(host[order], return_index=True)
+    for n, instances in zip(numbers, np.split(chosen[order], first[1:]), strict=False):
+        yield int(n), instances
 
-    def __init__(self, culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool, in_render: bool) -> None:
-        self.culled, self.columns, self.names = culled, Columns.of(keys.records), keys.names
+
+class Obstacles:
+    """What stands against changing an object of the open file, as it is now. found: objects by `full_name`."""
+
+    def __init__(self, scene: bpy.types.Scene, lasting: bool, in_render: bool) -> None:
         # Blender's own search takes as long as there are objects
         self.found = {full_name(ob): ob for ob in bpy.data.objects}
         others = scenes_in_picture(scene)
         self.references = References(others)
         # these only take an assignment, which would crash such a render
         self.keeps_linked = lasting or (in_render and bool(others))
+
+    def obstacle(self, ob: bpy.types.Object | None) -> str | None:
+        """Why hiding an object would not work, or would touch more than it should; None where it can be hidden."""
+        if ob is None:
+            return MISSING
+        if ob.library and self.keeps_linked:
+            return NOT_KEPT
+        if ob.type == "META":
+            return METABALL
+        if self.references.carries_more(ob):
+            return MORE
+        if simulates(ob):
+            return SIMULATION
+        if self.references.picked_by_particles(ob):
+            return PICKED
+        if instances_others(ob) and self.references.feeds(ob):
+            return FEEDS
+        if is_animated(ob, "hide_render"):
+            return ANIMATED
+        return self.any_change(ob)
+
+    def any_change(self, ob: bpy.types.Object) -> str | None:
+        """Why nothing of an object may be changed, its modifiers included."""
+        if self.references.drives(ob):
+            return DRIVES
+        if self.references.elsewhere(ob):
+            return ELSEWHERE
+        return UNBAKED if self.references.holds_cache(ob) else None
+
+    def modifier_obstacle(self, ob: bpy.types.Object | None) -> str | None:
+        """Why no modifier of a host may be added or switched off; None where it may."""
+        if ob is None:
+            return MISSING
+        if not takes_modifiers(ob):
+            return LINKED
+        return FEEDS if self.references.feeds(ob) else self.any_change(ob)
+
+
+class Planner(Obstacles):
+    """The steps of `make_plan`; `removed` and `reasons` fill up on the way."""
+
+    def __init__(self, culled: Mask, keys: Keys, scene: bpy.types.Scene, lasting: bool, in_render: bool) -> None:
+        super().__init__(scene, lasting, in_render)
+        self.culled, self.columns, self.names = culled, Columns.of(keys.records), keys.names
         self.members = np.array(
             [self.references.in_instanced_collection(self.found.get(name)) for name in keys.names], bool
         )
@@ -192,45 +248,9 @@ class Planner:
             self.removed = (own & by_source(self.columns, self.members)) | (gone[host] & (host >= 0))
         return hidden
 
-    def obstacle(self, ob: bpy.types.Object | None) -> str | None:
-        """Why hiding an object would not work, or would touch more than it should; None where it can be hidden."""
-        if ob is None:
-            return MISSING
-        if ob.library and self.keeps_linked:
-            return NOT_KEPT
-        if ob.type == "META":
-            return METABALL
-        if self.references.carries_more(ob):
-            return MORE
-        if simulates(ob):
-            return SIMULATION
-        if self.references.picked_by_particles(ob):
-            return PICKED
-        if instances_others(ob) and self.references.feeds(ob):
-            return FEEDS
-        if is_animated(ob, "hide_render"):
-            return ANIMATED
-        return self.any_change(ob)
-
-    def any_change(self, ob: bpy.types.Object) -> str | None:
-        """Why nothing of an object may be changed, its modifiers included."""
-        if self.references.drives(ob):
-            return DRIVES
-        if self.references.elsewhere(ob):
-            return ELSEWHERE
-        return UNBAKED if self.references.holds_cache(ob) else None
-
-    def modifier_obstacle(self, ob: bpy.types.Object | None) -> str | None:
-        """Why no modifier of a host may be added or switched off; None where it may."""
-        if ob is None:
-            return MISSING
-        if not takes_modifiers(ob):
-            return LINKED
-        return FEEDS if self.references.feeds(ob) else self.any_change(ob)
-
     def masks(self, hidden: dict[int, bpy.types.Object]) -> Iterator[tuple[bpy.types.Object, Mask]]:
         """Hosts and rows for the mask modifier."""
-        for n, instances in self.hosts(Kind.GEOMETRY_NODES):
+        for n, instances in hosts(self.columns, Kind.GEOMETRY_NODES):
             if n in hidden or not self.culled[instances].any():
                 continue
             ob = self.found.get(self.names[n])
@@ -250,7 +270,7 @@ class Planner:
     def particle_modifiers(self, hidden: dict[int, bpy.types.Object]) -> Iterator[tuple[bpy.types.Object, str]]:
         """Emitters and particle modifiers to switch off: all of an emitter's instances are culled, the emitter itself
         stays."""
-        for n, instances in self.hosts(Kind.PARTICLE):
+        for n, instances in hosts(self.columns, Kind.PARTICLE):
             if n in hidden or not self.culled[instances].all():
                 continue
             ob = self.found.get(self.names[n])
@@ -310,18 +330,6 @@ class Planner:
         ]
         free = unread(ob for ob in chosen if stays.isdisjoint(self.references.instanced_by(ob)))
         return [ob for ob in chosen if ob in free]
-
-    def hosts(self, kind: Kind) -> Iterator[tuple[int, NDArray[np.int64]]]:
-        """Name index and instance indices of each host of a kind."""
-        chosen = np.flatnonzero((self.columns.kind == kind) & (self.columns.host >= 0))
-        host = self.columns.host[chosen]
-        if len(host) and (host[0] == host).all():
-            yield int(host[0]), chosen
-            return
-        order = np.argsort(host, kind="stable")
-        numbers, first = np.unique(host[order], return_index=True)
-        for n, instances in zip(numbers, np.split(chosen[order], first[1:]), strict=False):
-            yield int(n), instances
 
     def kept(self) -> tuple[dict[str, int], dict[str, str]]:
         """Culled instances that stay, by reason; and the reason by the name of the object that they show."""

@@ -2,7 +2,8 @@
 
 `python -m lipac.scripts.studies.break_even -o docs`. The demo city in several sizes, rendered by Cycles on the CPU in
 full and culled, each as a whole command in a process of its own, in turns. Of several runs the quickest counts, for
-what else runs on a machine only ever makes one slower.
+what else runs on a machine only ever makes one slower. Beside the seconds stand those of all processors together, which
+depend less on that.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def measured(work: Path, instances: int, samples: int, repeats: int) -> dict[str, Figures]:
-    """Of the ways FULL and CULLED the least seconds of the command and of the render, and bytes at the peak; those of
-    an earlier run where they are there."""
+    """Of the ways FULL and CULLED the least seconds of the command, those of all processors, and bytes at the peak;
+    those of an earlier run where they are there."""
     place = work / f"{instances}-{samples}"
     kept = place / "measured.json"
     if kept.exists():
@@ -68,34 +69,56 @@ def measured(work: Path, instances: int, samples: int, repeats: int) -> dict[str
     runs: dict[str, list[Figures]] = {FULL: [], CULLED: []}
     for _ in range(repeats):
         for way, several in runs.items():
+            before = _processor_seconds()
             report = compare.render(scene, place, way, options)
-            frame, totals = report["frames"][0], report["totals"]
-            seconds = {"command": report["process_s"], "render": frame["render_s"]}
-            several.append({**seconds, "bytes": totals["peak_bytes"], "active": frame["active"]})
+            seconds = {"command": report["process_s"], "processor": _processor_seconds() - before}
+            active = report["frames"][0]["active"]
+            several.append({**seconds, "bytes": report["totals"]["peak_bytes"], "active": active})
     least = {way: {name: min(run[name] for run in several) for name in several[0]} for way, several in runs.items()}
     kept.write_text(json.dumps(least, indent=1) + "\n")
     return least
 
 
+def _processor_seconds() -> float:
+    """Of all processes that were started from here and have ended."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
 def rows_of(found: dict[tuple[int, int], dict[str, Figures]]) -> list[tuple[str, ...]]:
     """The table, its head first."""
-    head = ("instances", "samples", "everything", "culled, analysis included", "ratio", "peak memory", "stay")
+    head = (
+        "instances",
+        "samples",
+        "everything",
+        "culled, analysis included",
+        "ratio",
+        "processor seconds",
+        "ratio of these",
+        "peak memory",
+        "stay",
+    )
     rows: list[tuple[str, ...]] = [head]
     for (count, samples), ways in found.items():
         full, culled = ways[FULL], ways[CULLED]
-        ratio = full["command"] / culled["command"]
         rows.append(
             (
                 f"{count:,}",
                 f"{samples}",
                 f"{full['command']:.1f} s",
                 f"{culled['command']:.1f} s",
-                f"{ratio:.2f}" + ("" if ratio > 1 else ": **costs more**"),
+                _ratio(full["command"] / culled["command"]),
+                f"{full['processor']:.1f}, {culled['processor']:.1f}",
+                _ratio(full["processor"] / culled["processor"]),
                 f"{size(int(full['bytes']))}, {size(int(culled['bytes']))}",
                 f"{culled['active']:,.0f}",
             )
         )
     return rows
+
+
+def _ratio(ratio: float) -> str:
+    return f"{ratio:.2f}" + ("" if ratio > 1 else ": **costs more**")
 
 
 if __name__ == "__main__":

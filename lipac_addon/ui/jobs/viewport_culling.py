@@ -12,15 +12,19 @@ masks are lifted while a scatter is read.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from heapq import nlargest
+from typing import TypeVar
 
 import bpy
 import numpy as np
 
 from ....core.arrays import F32, F64, I64
 from ...keys import Kind
-from ...writeback.viewport_plan import viewport_plan
+from ...writeback.viewport_plan import Candidates, candidates, viewport_plan
 from ..state import props, results, session
+from .background import in_thread
 from .foresight import Foresight, half_angle, is_large
 from .viewport_switches import OutSet, Rows, Switches
 
@@ -31,7 +35,24 @@ WORTH = 0.1  # share of what is shown that must go at once; as many that come ba
 GRACE = 1.0  # seconds without a viewport that asks for it, after which all comes back
 HOLD = 0.5  # seconds that what came into view at once stays, for paths to look there
 NEAR = 0.1  # of the camera's distance to the 3D cursor, around which nothing goes
+AT_ONCE = 20_000  # instances of which arrays take a tick no longer than it may; those of more are left to a thread
 WALKS = 10_000_000  # objects that Blender may walk over to close or open all eyes: one takes it a walk over the layer
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the viewport can go without by a result, and how many instances that are; how many are out already, of
+    what was out then. guarded: what must not vanish, as it was when this was begun."""
+
+    result: results.FrameResult
+    wanted: OutSet
+    instances: int
+    out: OutSet
+    already: int
+    guarded: tuple[object, ...]
 
 
 class ViewportCulling:
@@ -48,9 +69,11 @@ class ViewportCulling:
         self._made = self.switches.out  # by the last decision
         self._cursor: tuple[float, ...] = ()
         self._next = self._soon = self._went = self._seen = 0.0  # soon: what matters does not wait longer
+        self._due = False  # for a change, when the decision was begun
         self._sight: Foresight | None = None
         self._foreseen: list[tuple[float, I64]] = []  # until when they stay, and which
         self._pose: tuple[float, ...] = ()
+        self._deciding: Generator[None, None, Decision] | None = None
 
     def take(self, result: results.FrameResult, places: dict[str, F32], eye: F64) -> None:
         """New states. places: of the rows of scatters, by the full name of the host. eye: (3,) where the camera is, as
@@ -106,18 +129,39 @@ class ViewportCulling:
         lazy = resting or now > self._went + PATIENCE  # things may go
         anew = self._fresh or (self._waits and lazy) or cursor != self._cursor
         due = now >= self._next
-        if result is None or not self._settled or not anew or not (due or (self._urgent and now >= self._soon)):
+        if self._deciding is None:
+            if result is None or not self._settled or not anew or not (due or (self._urgent and now >= self._soon)):
+                return False
+            self._fresh, self._waits, self._urgent, self._cursor = False, False, False, cursor
+            self._made, self._due = self.switches.out, due
+            self._next = max(self._next, now + INTERVAL)
+            self._deciding = self._decide(scene, result)
+        try:
+            next(self._deciding)
+        except StopIteration as end:
+            self._deciding = None
+            return self._go(scene, layer, end.value, lazy)
+        return False
+
+    def _go(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, made: Decision, lazy: bool) -> bool:
+        """Have the viewport go by a decision, where it is time to; True where something changed. What has come to be
+        needed since it was begun stays. lazy: things may go."""
+        now, out, wanted, result = time.monotonic(), self.switches.out, made.wanted, self._result
+        if result is None or len(result.state) != len(made.result.state) or result.keys.names != made.result.keys.names:
+            self._fresh = True
             return False
-        self._fresh, self._waits, self._urgent, self._cursor = False, False, False, cursor
-        self._next = max(self._next, now + INTERVAL)
-        wanted = self._plan(scene, layer, result)
-        out = self._made = self.switches.out
+        if result is not made.result:
+            wanted = wanted.showing(result, np.flatnonzero(result.state != results.CULLED))
+        self._made = out
         if out.asks(wanted):
             wanted, self._waits = out.both(wanted), True
-        elif result.stats["pending"] or not (lazy and due):
+        elif result.stats["pending"] or not (lazy and self._due):
             self._waits = True
             return False
-        elif wanted.instances(result) - out.instances(result) < max(1.0, WORTH * _shown(out, result)):
+        elif out is not made.out or self._guarded(scene) != made.guarded:
+            self._fresh = True
+            return False
+        elif made.instances - made.already < max(1.0, WORTH * (len(result.state) - made.already)):
             return False
         else:
             self._went = now
@@ -130,10 +174,15 @@ class ViewportCulling:
         self.message = f"shows {_shown(wanted, result):,} of {len(result.state):,} instances"
         return True
 
+    def _guarded(self, scene: bpy.types.Scene) -> tuple[object, ...]:
+        """What tells that other instances must not vanish."""
+        return self._whom, tuple(scene.cursor.location)
+
     def off(self, layer: bpy.types.ViewLayer) -> bool:
         """All comes back; True where something was out."""
         was = bool(self.switches.out)
         self._settled, self._fresh = False, True
+        self._drop()
         if was:
             self.switches.all_back(layer)
         self._made = self.switches.out
@@ -141,15 +190,38 @@ class ViewportCulling:
 
     def close(self) -> None:
         """All comes back, whatever happened."""
+        self._drop()
         self.switches.all_back(None)
 
-    def _plan(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, result: results.FrameResult) -> OutSet:
-        """What the viewport can go without."""
-        culled = result.culled & ~protected(scene, layer, result)
+    def _drop(self) -> None:
+        """Decide nothing; waits for a thread that does."""
+        if self._deciding is not None:
+            self._deciding.close()
+            self._deciding = None
+
+    def _decide(self, scene: bpy.types.Scene, result: results.FrameResult) -> Generator[None, None, Decision]:
+        """What the viewport can go without, a step a tick: arrays of many instances are a thread's."""
+        layer, out, guarded = scene.view_layers[self._layer], self.switches.out, self._guarded(scene)
+        protected = protection(scene, layer, result)
         self._foreseen = [(until, numbers) for until, numbers in self._foreseen if until > time.monotonic()]
-        for _, numbers in self._foreseen:
-            culled[numbers[numbers < len(culled)]] = False
-        objects, masks, _ = viewport_plan(culled, result.current_keys(), scene)
+        foreseen = [numbers for _, numbers in self._foreseen]
+
+        def possible() -> Candidates:
+            culled = result.culled & ~protected()
+            for numbers in foreseen:
+                culled[numbers[numbers < len(culled)]] = False
+            return candidates(culled, result.keys)
+
+        found = yield from _apart(result, possible)
+        now = session.find_scene(self.switches.uid)  # references may have died meanwhile
+        wanted = OutSet(frozenset(), {}) if now is None else self._allowed(now, result, found)
+        counts = yield from _apart(result, lambda: (wanted.instances(result), out.instances(result)))
+        return Decision(result, wanted, counts[0], out, counts[1], guarded)
+
+    def _allowed(self, scene: bpy.types.Scene, result: results.FrameResult, found: Candidates) -> OutSet:
+        """What Blender allows to take out of what could go."""
+        layer = scene.view_layers[self._layer]
+        objects, masks = viewport_plan(found, result.current_keys().names, scene)
         closed, there = set(self.switches.closed(layer)), set(layer.objects)
         eyes = [ob for ob in objects if ob in closed or (ob in there and not ob.hide_get(view_layer=layer))]
         if len(eyes) * len(there) > WALKS:
@@ -225,23 +297,40 @@ def _whom(layer: bpy.types.ViewLayer) -> tuple[object, ...]:
     return chosen, active and active.session_uid, props.role_changes
 
 
-def protected(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, result: results.FrameResult) -> Rows:
-    """(N,) bool: instances that must not vanish: pinned, ignored, selected, edited, active, or near the 3D cursor."""
+def _apart(result: results.FrameResult, work: Callable[[], T]) -> Generator[None, None, T]:
+    """Work on arrays of a result, by a thread where it has many instances; returns what the work returned."""
+    if len(result.state) <= AT_ONCE:
+        return work()
+    return (yield from in_thread(work, lambda: None))
+
+
+def protection(
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, result: results.FrameResult
+) -> Callable[[], Rows]:
+    """What finds the instances that must not vanish, (N,) bool, asking nothing of Blender: pinned, ignored, selected,
+    edited, active, or near the 3D cursor, as it is now."""
     chosen = {
         *layer.objects.selected,
         *session.not_in_object_mode(),
         *props.marked(props.PIN),
         *props.marked(props.IGNORE),
     }
-    found = result.of_objects(chosen)
-    records, active = result.keys.records, layer.objects.active
-    if active is not None:
-        own = np.append(results.among(result.uids, {active}), False)
-        found |= own[records["object"]] & (records["kind"] == Kind.OBJECT)
+    whole, active = results.among(result.uids, chosen), layer.objects.active
+    own = None if active is None else np.append(results.among(result.uids, {active}), False)
+    reach, point = -1.0, np.zeros(3, np.float32)
     if scene.camera is not None:
         cursor = np.array(scene.cursor.location)
         reach = NEAR * float(np.linalg.norm(cursor - np.array(scene.camera.matrix_world.translation)))
         point = (cursor - result.origin).astype(np.float32)
-        gap = np.maximum(np.maximum(result.bounds[:, 0] - point, point - result.bounds[:, 1]), 0)
-        found |= np.einsum("ij,ij->i", gap, gap) <= reach * reach
+
+    def found() -> Rows:
+        records = result.keys.records
+        out = results.instances_of(result.keys, whole)
+        if own is not None:
+            out |= own[records["object"]] & (records["kind"] == Kind.OBJECT)
+        if reach >= 0:
+            gap = np.maximum(np.maximum(result.bounds[:, 0] - point, point - result.bounds[:, 1]), 0)
+            out |= np.einsum("ij,ij->i", gap, gap) <= reach * reach
+        return out
+
     return found

@@ -82,13 +82,13 @@ NOTHING = OutSet(frozenset(), {})
 class Switches:
     """The switches of a view layer's viewports.
 
-    out: what is out by them, another object whenever that has changed; own: Blender evaluates a change of ours, of
-    which there is nothing to note.
+    uid: of the scene; out: what is out by them, another object whenever that has changed; own: Blender evaluates a
+    change of ours, of which there is nothing to note.
     """
 
     def __init__(self, uid: int, layer: str) -> None:
         """uid: of the scene."""
-        self._uid, self._layer = uid, layer
+        self.uid, self._layer = uid, layer
         self.out, self.own = NOTHING, False
         self._places: dict[int, F32] = {}  # of the rows of masked hosts
         self._quiet: dict[int, float] = {}
@@ -194,7 +194,7 @@ class Switches:
     def put_back(self) -> None:
         """After it: as it was, as far as the objects are there."""
         viewport.unmask()
-        scene = session.find_scene(self._uid)
+        scene = session.find_scene(self.uid)
         if scene is None or self._layer not in scene.view_layers or not self.out:
             viewport.restore()
             return

@@ -6,8 +6,10 @@ import pytest
 
 from lipac.core.culling.options import State
 from lipac.lipac_addon.extract import extract_frame
+from lipac.lipac_addon.keys import Kind
 from lipac.lipac_addon.writeback import apply, restore, viewport
-from lipac.lipac_addon.writeback.viewport_plan import viewport_plan
+from lipac.lipac_addon.writeback.plan import full_name
+from lipac.lipac_addon.writeback.viewport_plan import candidates, viewport_plan
 from lipac.tests.lipac_addon.writeback.conftest import collection, empty, link, points, scatter, triangle
 
 
@@ -108,12 +110,24 @@ def test_eyes_are_opened_that_were_closed_and_no_others(boxes):
     assert not any(viewport.KEY in scene.view_layers[0] for scene in bpy.data.scenes)
 
 
+def plan_of(culled, keys):
+    """Objects and masks, and (N,) bool, the culled instances that go by these."""
+    objects, masks = viewport_plan(candidates(culled, keys), keys.names, bpy.context.scene)
+    records, name = keys.records, {ob: keys.names.index(full_name(ob)) for ob in (*objects, *(ob for ob, _ in masks))}
+    own = np.where(records["kind"] == Kind.OBJECT, records["object"], records["host"])
+    out = np.isin(own, [name[ob] for ob in objects])
+    for ob, rows in masks:
+        mine = np.flatnonzero((records["host"] == name[ob]) & (records["kind"] == Kind.GEOMETRY_NODES))
+        out[mine] |= rows[records["path"][mine, 0]]
+    return objects, masks, out & culled
+
+
 def plan_of_all():
     """The plan where everything is culled."""
     bpy.context.view_layer.update()
     extraction = extract_frame(bpy.context.scene)
     culled = np.full(len(extraction.keys.records), State.CULLED) == State.CULLED
-    objects, masks, out = viewport_plan(culled, extraction.keys, bpy.context.scene)
+    objects, masks, out = plan_of(culled, extraction.keys)
     return {ob.name for ob in objects}, {ob.name: rows for ob, rows in masks}, out, extraction.keys
 
 
@@ -127,7 +141,7 @@ def test_the_plan_closes_eyes_where_all_behind_them_is_culled(host):
     own = np.where(records["host"] >= 0, records["host"], records["object"])
     culled[np.flatnonzero(own == names.index("host"))[-1]] = False  # a row of the scatter, or its host's own mesh
     culled[np.flatnonzero(own == names.index("box3"))] = False
-    objects, masks, out = viewport_plan(culled, extraction.keys, bpy.context.scene)
+    objects, masks, out = plan_of(culled, extraction.keys)
     found = {ob.name for ob in objects}
     assert {"instance", "part", "source", "box0"} <= found  # an eye hides no instance that another makes
     assert not {"host", "box3"} & found

@@ -71,7 +71,9 @@ def test_old_figures_say_that_their_code_is_not_known() -> None:
 
 
 def test_rows_of_the_break_even_table() -> None:
-    full, culled = ({"command": s, "render": 1.0, "bytes": 1e9, "active": a} for s, a in ((4.0, 9), (5.0, 2)))
+    full, culled = (
+        {"command": s, "processor": 2 * s, "bytes": 1e9, "active": a} for s, a in ((4.0, 9), (5.0, 2))
+    )
     head, row = break_even.rows_of({(20_000, 4): {"full": full, "culled": culled}})
     assert len(head) == len(row)
-    assert row[2:5] == ("4.0 s", "5.0 s", "0.80: **costs more**")
+    assert row[2:7] == ("4.0 s", "5.0 s", "0.80: **costs more**", "8.0, 10.0", "0.80: **costs more**")

@@ -1,5 +1,6 @@
 """Live culling, tick by tick: what the viewport's graph holds, and that neither renders nor files know of it."""
 
+import threading
 import time
 
 import bpy
@@ -11,6 +12,7 @@ from lipac.lipac_addon.ui import handlers
 from lipac.lipac_addon.ui.jobs import foresight, live, viewport_culling, viewport_switches
 from lipac.lipac_addon.ui.state import applying, props, results
 from lipac.lipac_addon.writeback import viewport
+from lipac.lipac_addon.writeback.viewport_plan import candidates
 from lipac.tests.lipac_addon.writeback.conftest import link, points, scatter, triangle
 
 FAR = {"box4", "box5", "box6", "box7"}
@@ -447,3 +449,33 @@ def test_changes_are_few(culled, monkeypatch):
             time.sleep(0.001)
     assert changes
     assert (np.diff(changes) >= 0.3).all()
+
+
+def test_a_decision_by_a_thread_minds_what_happens_meanwhile(culled, monkeypatch):
+    """What is selected while a thread decides that it goes stays; what nobody touched goes."""
+    for k in (5, 6):
+        bpy.data.objects[f"box{k}"].location = (0, 0, 0.5)
+    edit(lambda: None)
+    assert {"box5", "box6"} <= shown()
+    asked, free = threading.Event(), threading.Event()
+
+    def slow(*arguments):
+        asked.set()
+        assert free.wait(60)
+        return candidates(*arguments)
+
+    monkeypatch.setattr(viewport_culling, "candidates", slow)
+    monkeypatch.setattr(viewport_culling, "AT_ONCE", 0)
+    monkeypatch.setattr(viewport_culling, "WORTH", 0.0)
+    for k in (5, 6):
+        bpy.data.objects[f"box{k}"].location = (0, 900, 0)
+    bpy.context.view_layer.update()
+    while not (asked.is_set() and live.current.resting):
+        live.tick()
+        time.sleep(0.001)
+    assert {"box5", "box6"} <= shown()  # not decided yet
+    bpy.data.objects["box5"].select_set(True)
+    bpy.context.view_layer.update()
+    free.set()
+    settle()
+    assert "box5" in shown() and "box6" not in shown()
