@@ -13,7 +13,7 @@ import itertools
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,7 +37,6 @@ FRAMES = (40, 110)  # with the turn around the corner, a cut away and the cut ba
 DRAWN = (76,)
 STARTED = 20  # seconds of the clock for the cold start
 ROUNDS = 1  # of live mode in a frame
-INTERVAL = 0.04  # seconds between ticks, as of live mode
 SETTLED = 3  # successive pictures that are the same, after which all shaders are there
 
 
@@ -51,6 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--sizes", type=int, nargs="*", default=(10_000, 100_000, 1_000_000))
     args = parser.parse_args(argv)
     from ... import register
+    from .viewport_costs import costs
 
     register()
     found = flight(args.instances, range(args.frames[0], args.frames[1] + 1), args.drawn)
@@ -313,6 +313,9 @@ def settle(clock: Clock) -> None:
     for _ in range(int(STARTED * RATE)):
         rounds(ROUNDS)
         clock.go(1 / RATE)
+        while live.current is not None and live.current.culling.is_deciding:
+            live.tick()
+            time.sleep(0.001)
         if live.current is not None and live.current.resting and live.current.culling.switches.out:
             return
 
@@ -340,73 +343,6 @@ def rows() -> int:
     layer = bpy.context.view_layer
     geometry = bpy.data.objects["City"].evaluated_get(layer.depsgraph).evaluated_geometry()
     return len(geometry.instances_pointcloud().points)
-
-
-def costs(sizes: Sequence[int]) -> list[str]:
-    """The lines about what a change of the set costs."""
-    import bpy
-
-    from ...lipac_addon.demo import build
-    from ...lipac_addon.ui.jobs import live
-
-    lines = [
-        "What a change of the set costs the main thread: Blender evaluates the scatter anew, as after any edit of it.",
-        "While nothing changes, [live.md](live.md) holds. After a change nothing changes for four times as long.",
-        "",
-        "Deciding what the set is to be is spread over ticks, and beyond 20,000 instances arrays are a thread's.",
-        "",
-        "| instances, the least of several | scatter evaluated in full | one change of the set | deciding it, most of "
-        "a tick | all ticks of it |",
-        "|---:|---:|---:|---:|---:|",
-    ]
-    for size in sizes:
-        build("mirror-city", size)
-        scene, layer = bpy.context.scene, bpy.context.view_layer
-        layer.update()
-        city = bpy.data.objects["City"]
-        plain = [timed(lambda: (city.update_tag(refresh={"DATA"}), layer.update())) for _ in range(5)]  # noqa: B023
-        look()
-        scene.lipac.cull_viewport = True
-        with Clock() as clock:
-            live.start()
-            settle(clock)
-            assert live.current is not None
-            culling = live.current.culling
-            result = culling._result
-            assert result is not None
-            out = culling.switches.out
-            fewer = type(out)(
-                out.objects, {uid: gone & (np.arange(len(gone)) % 2 == 0) for uid, gone in out.rows.items()}
-            )
-            changed = [
-                timed(lambda: culling.switches.change(layer, wanted, lambda uid: culling._places_of(result, uid)))  # noqa: B023
-                for wanted in (fewer, out) * 3
-            ]
-            decided = [steps(culling._decide(scene, result)) for _ in range(5)]
-            live.stop()
-        took = plain, changed, [max(one) for one in decided], [sum(one) for one in decided]
-        ms = [f"{1000 * min(each):.0f} ms" if each is not took[2] else f"{1000 * min(each):.1f} ms" for each in took]
-        lines.append(f"| {size:,} | {' | '.join(ms)} |")
-    return lines
-
-
-def steps(work: Generator[None, None, object]) -> list[float]:
-    """Seconds that the steps of a generator take the main thread, which does nothing between them."""
-    took = []
-    while True:
-        start = time.perf_counter()
-        ended = next(work, None) is None and getattr(work, "gi_frame", None) is None
-        took.append(time.perf_counter() - start)
-        if ended:
-            return took
-        time.sleep(INTERVAL)
-
-
-def timed(work: Callable[[], object]) -> float:
-    """Seconds that work takes."""
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
 
 
 if __name__ == "__main__":

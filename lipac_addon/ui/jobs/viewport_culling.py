@@ -84,6 +84,11 @@ class ViewportCulling:
         self._urgent |= last is not None and not same and _matters(last, result, eye)
         self._result, self._places = result, places
 
+    @property
+    def is_deciding(self) -> bool:
+        """Whether a decision was begun and is not finished."""
+        return self._deciding is not None
+
     def touch(self) -> None:
         """Something has changed, be it what is selected: what must not vanish may be something else."""
         self._touched = True
