@@ -1,4 +1,4 @@
-"""From how many instances on a single frame on a processor is worth its analysis: the table of docs/for-my-scene.md.
+"""From how many instances on a single frame on a processor is worth its analysis: a table of docs/benchmarks.md.
 
 `python -m lipac.scripts.studies.break_even -o docs`. The demo city in several sizes, rendered by Cycles on the CPU in
 full and culled, each as a whole command in a process of its own, in turns. Of several runs the quickest counts, for
@@ -32,7 +32,7 @@ Figures = dict[str, float]
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure what is not measured yet, replace the table in the page, print it; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs"), metavar="DIR", help="with for-my-scene.md")
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs"), metavar="DIR", help="with benchmarks.md")
     parser.add_argument("--work", type=Path, default=Path("out/break-even"), metavar="DIR", help="scenes and renders")
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
     parser.add_argument("--samples", type=int, nargs="*", default=SAMPLES)
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     busy = f" Load when it began: {load:.1f} on {cores()} cores." if load else ""
     table = markdown(rows_of(found))
     text = f"{table}\n\n{textwrap.fill(f'{said} The quickest of {args.repeats} runs.{busy}', 120)}"
-    page = args.output / "for-my-scene.md"
+    page = args.output / "benchmarks.md"
     page.write_text(_PART.sub(lambda part: f"{part[1]}{text}\n{part[2]}", page.read_text()))
     print(text)
     return 0

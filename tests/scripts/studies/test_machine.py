@@ -19,7 +19,6 @@ STUDIES = {  # of a page, the module that writes it
     "benchmarks": "scripts/bench.py",
     "error": "scripts/studies/error_pictures.py",
     "family": "scripts/studies/family.py",
-    "for-my-scene": "scripts/studies/break_even.py",
     "fuzz": "scripts/dev/fuzz.py",
     "farm": "scripts/studies/farm/page.py",
     "live": "scripts/studies/bench_live.py",
