@@ -1,4 +1,6 @@
-"""Images of more pixels than an analysis looks at, judged by Cycles: `python -m lipac.scripts.studies.fine_images -o DIR`.
+"""Images of more pixels than an analysis looks at, judged by Cycles.
+
+`python -m lipac.scripts.studies.fine_images -o DIR`.
 
 An analysis reduces images to 1,024 pixels a side (`core/scene/images.py`). Each scene here depends on detail that is
 lost by that: light of single pixels of a map of emission, things seen through holes of single pixels, and a mirror
@@ -18,7 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import compare
 from .compare import markdown
 from .machine import stamp
 

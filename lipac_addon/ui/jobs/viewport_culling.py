@@ -163,7 +163,7 @@ class ViewportCulling:
         elif result.stats["pending"] or not (lazy and self._due):
             self._waits = True
             return False
-        elif out is not made.out or self._guarded(scene) != made.guarded:
+        elif out is not made.out or _guarded(scene, layer) != made.guarded:
             self._fresh = True
             return False
         elif made.instances - made.already < max(1.0, WORTH * (len(result.state) - made.already)):
@@ -178,10 +178,6 @@ class ViewportCulling:
         self._next, self._soon = end + max(INTERVAL, DUTY * took), end + took
         self.message = f"shows {_shown(wanted, result):,} of {len(result.state):,} instances"
         return True
-
-    def _guarded(self, scene: bpy.types.Scene) -> tuple[object, ...]:
-        """What tells that other instances must not vanish."""
-        return self._whom, tuple(scene.cursor.location)
 
     def off(self, layer: bpy.types.ViewLayer) -> bool:
         """All comes back; True where something was out."""
@@ -206,7 +202,8 @@ class ViewportCulling:
 
     def _decide(self, scene: bpy.types.Scene, result: results.FrameResult) -> Generator[None, None, Decision]:
         """What the viewport can go without, a step a tick: arrays of many instances are a thread's."""
-        layer, out, guarded = scene.view_layers[self._layer], self.switches.out, self._guarded(scene)
+        layer = scene.view_layers[self._layer]
+        out, guarded = self.switches.out, _guarded(scene, layer)
         protected = protection(scene, layer, result)
         self._foreseen = [(until, numbers) for until, numbers in self._foreseen if until > time.monotonic()]
         foreseen = [numbers for _, numbers in self._foreseen]
@@ -300,6 +297,11 @@ def _whom(layer: bpy.types.ViewLayer) -> tuple[object, ...]:
     chosen = frozenset(ob.session_uid for ob in (*layer.objects.selected, *session.not_in_object_mode()))
     active = layer.objects.active
     return chosen, active and active.session_uid, props.role_changes
+
+
+def _guarded(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> tuple[object, ...]:
+    """What tells that other instances must not vanish, as it is now."""
+    return _whom(layer), tuple(scene.cursor.location)
 
 
 def _apart(result: results.FrameResult, work: Callable[[], T]) -> Generator[None, None, T]:

@@ -24,7 +24,7 @@ STUDIES = {  # of a page, the module that writes it
     "live": "scripts/studies/bench_live.py",
     "memory": "scripts/studies/memory/within.py",
     "results": "scripts/evaluate.py",
-    "viewport": "scripts/studies/bench_viewport.py",
+    "viewport": "scripts/studies/viewport/flight.py",
 }
 
 

@@ -1,4 +1,4 @@
-"""Live culling in the viewport, measured: `python -m lipac.scripts.studies.bench_viewport -o docs/viewport.md`.
+"""Live culling in the viewport, measured: `python -m lipac.scripts.studies.viewport.flight -o docs/viewport.md`.
 
 The camera of `flythrough` drives through the city while live mode does one round a frame, at 24 frames a second by the
 clock that live culling goes by. Of each frame Cycles renders what the viewport shows, once with all and once culled,
@@ -13,30 +13,27 @@ import itertools
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import F32
-from ...core.evaluation.judge import picture_change
-from ...core.evaluation.metrics import flicker
-from ...core.feedback.tiles import tile_means
+from ....core.arrays import F32
+from ....core.evaluation.judge import picture_change
+from ....core.evaluation.metrics import flicker
+from ....core.feedback.tiles import tile_means
+from .clock import RATE, ROUNDS, Clock, look, rounds, settle
 
 if TYPE_CHECKING:
-    from ...lipac_addon.ui.jobs.viewport_switches import OutSet
+    from ....lipac_addon.ui.jobs.viewport_switches import OutSet
 
-RATE = 24.0  # frames a second
 SIZE, SAMPLES = (160, 90), 8
 FRAMES = (40, 110)  # with the turn around the corner, a cut away and the cut back
 DRAWN = (76,)
-STARTED = 20  # seconds of the clock for the cold start
-ROUNDS = 1  # of live mode in a frame
 SETTLED = 3  # successive pictures that are the same, after which all shaders are there
 
 
@@ -49,8 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--drawn", type=int, nargs="*", default=DRAWN, help="frames that the viewport draws")
     parser.add_argument("--sizes", type=int, nargs="*", default=(10_000, 100_000, 1_000_000))
     args = parser.parse_args(argv)
-    from ... import register
-    from .viewport_costs import costs
+    from .... import register
+    from .costs import costs
 
     register()
     found = flight(args.instances, range(args.frames[0], args.frames[1] + 1), args.drawn)
@@ -65,7 +62,7 @@ def by_cycles(folder: Path) -> F32:
     """(height, width, 3) float32, linear: the current frame, rendered by Cycles."""
     import bpy
 
-    from ...lipac_addon.pictures import read_picture, saved_as
+    from ....lipac_addon.pictures import read_picture, saved_as
 
     path = folder / "frame.exr"
     bpy.context.scene.render.filepath = str(path)
@@ -79,7 +76,7 @@ def without(out: OutSet, places: dict[int, F32]) -> Iterator[None]:
     """Have a set out of the viewport, and for once of renders, too."""
     import bpy
 
-    from ...lipac_addon.writeback import viewport
+    from ....lipac_addon.writeback import viewport
 
     layer = bpy.context.view_layer
     objects = {ob.session_uid: ob for ob in bpy.data.objects}
@@ -162,7 +159,7 @@ def flight(instances: int, frames: range, drawn: Sequence[int]) -> Flight:
     draws, too."""
     import bpy
 
-    from ...lipac_addon.demo import build
+    from ....lipac_addon.demo import build
 
     build("flythrough", instances)
     scene, out = bpy.context.scene, Flight(frames)
@@ -191,7 +188,7 @@ def flown(out: Flight) -> list[tuple[OutSet, dict[int, F32]]]:
     """What was out of the viewport in each frame, and where the rows of its hosts were."""
     import bpy
 
-    from ...lipac_addon.ui.jobs import live
+    from ....lipac_addon.ui.jobs import live
 
     scene, sets = bpy.context.scene, []
     scene.frame_set(out.frames[0])
@@ -216,7 +213,7 @@ def flown(out: Flight) -> list[tuple[OutSet, dict[int, F32]]]:
 
 def lines_of(found: Flight, instances: int, drawn: Sequence[int]) -> list[str]:
     """What came of a flight."""
-    from .machine import made_by
+    from ..machine import made_by
 
     frames, full, culled = found.frames, found.full, found.culled
     errors = np.array([picture_change(a, b) for a, b in zip(full, culled, strict=True)])
@@ -244,7 +241,7 @@ def lines_of(found: Flight, instances: int, drawn: Sequence[int]) -> list[str]:
     return [
         "# Live culling in the viewport, measured",
         "",
-        f"`python -m lipac.scripts.studies.bench_viewport`: {made_by()}. Frames {frames[0]} to {frames[-1]} of "
+        f"`python -m lipac.scripts.studies.viewport.flight`: {made_by()}. Frames {frames[0]} to {frames[-1]} of "
         f"`flythrough`, {instances:,} instances, {ROUNDS} round of live mode a frame, {RATE:.0f} frames a second by "
         f"its clock; Cycles, {SIZE[0]} x {SIZE[1]}, {SAMPLES} samples, with the same random numbers.",
         "",
@@ -262,78 +259,9 @@ def three(values: NDArray[np.float64]) -> str:
     return "; ".join(pc(float(v)) for v in (values.mean(), np.median(values), values.max()))
 
 
-def look() -> None:
-    """Have the viewport show Rendered shading, through the camera."""
-    import bpy
-
-    area = next(a for a in bpy.context.window_manager.windows[0].screen.areas if a.type == "VIEW_3D")
-    area.spaces.active.shading.type, area.spaces.active.region_3d.view_perspective = "RENDERED", "CAMERA"
-
-
 def pc(share: float) -> str:
     """A share in percent."""
     return f"{100 * share:.3g} %"
-
-
-class Clock:
-    """The clock that live culling goes by, and how often it changed something."""
-
-    def __enter__(self) -> Clock:
-        from ...lipac_addon.ui.jobs import viewport_culling, viewport_switches
-
-        self.now, self.changes = 0.0, 0
-        self._modules = viewport_culling, viewport_switches
-        self._change = viewport_switches.Switches.change
-        for module in self._modules:
-            module.time = SimpleNamespace(monotonic=lambda: self.now)  # type: ignore[attr-defined]
-        viewport_switches.Switches.change = self._counted()  # type: ignore[method-assign]
-        return self
-
-    def _counted(self) -> Callable[..., None]:
-        def change(*args: Any) -> None:
-            self.changes += 1
-            self._change(*args)
-
-        return change
-
-    def go(self, seconds: float) -> None:
-        """Time passes."""
-        self.now += seconds
-
-    def __exit__(self, *_: object) -> None:
-        for module in self._modules:
-            module.time = time  # type: ignore[attr-defined]
-        self._modules[1].Switches.change = self._change  # type: ignore[method-assign]
-
-
-def settle(clock: Clock) -> None:
-    """Let live mode come to rest, and the viewport be culled."""
-    from ...lipac_addon.ui.jobs import live
-
-    for _ in range(int(STARTED * RATE)):
-        rounds(ROUNDS)
-        clock.go(1 / RATE)
-        while live.current is not None and live.current.culling.is_deciding:
-            live.tick()
-            time.sleep(0.001)
-        if live.current is not None and live.current.resting and live.current.culling.switches.out:
-            return
-
-
-def rounds(count: int) -> None:
-    """Tick until so many rounds are done, or there is nothing to do; and once more, for what follows from them."""
-    from ...lipac_addon.ui.jobs import live
-
-    live.tick()
-    current = live.current
-    assert current is not None
-    goal = current.rounds + count
-    while current.rounds < goal and not current.resting:
-        live.tick()
-        time.sleep(0.001)
-        if current.error:
-            raise SystemExit(f"live mode: {current.error}")
-    live.tick()
 
 
 def rows() -> int:

@@ -1,4 +1,4 @@
-"""What live culling costs the main thread: the second table of docs/viewport.md, for `bench_viewport`."""
+"""What live culling costs the main thread: the second table of docs/viewport.md, for `flight`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Sequence
 
 import numpy as np
 
-from .bench_viewport import Clock, look, settle
+from .clock import Clock, look, settle
 
 INTERVAL = 0.04  # seconds between ticks, as of live mode
 
@@ -16,8 +16,8 @@ def costs(sizes: Sequence[int]) -> list[str]:
     """The lines about what a change of the set costs."""
     import bpy
 
-    from ...lipac_addon.demo import build
-    from ...lipac_addon.ui.jobs import live
+    from ....lipac_addon.demo import build
+    from ....lipac_addon.ui.jobs import live
 
     lines = [
         "What a change of the set costs the main thread: Blender evaluates the scatter anew, as after any edit of it.",

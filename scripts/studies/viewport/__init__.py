@@ -1,0 +1,1 @@
+"""Live culling in the viewport, measured: docs/viewport.md."""
