@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,11 @@ class Keys:
 
     records: Records
     names: tuple[str, ...]
+
+
+def full_name(data: Any) -> str:
+    """The name of a datablock in `Keys.names`, which finds it again."""
+    return f"{data.library.filepath}\n{data.name}" if data.library is not None else str(data.name)
 
 
 def any_of(records: Records, others: Sequence[Records]) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 
 from ..core.errors import InputError
+from . import roles
 from .console import muted
 from .extract import add_framing_camera, extract_frame
 
@@ -51,6 +52,7 @@ def open_scene(path: Path) -> None:
         raise InputError(f"no such file: {path}")
     if path.stat().st_size == 0:
         raise InputError(f"{path} is empty; export or copy it again")
+    roles.make_known()
     suffix = path.suffix.lower()
     if suffix == ".blend":
         _call(bpy.ops.wm.open_mainfile, path, load_ui=False, use_scripts=False)

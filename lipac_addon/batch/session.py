@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.culling.options import CullOptions, State
 from ...core.culling.policies import LIGHT_PATHS
 from ...core.progress import Progress, part, silent
 from ...core.scene.bounds import existing
 from ...core.scene.model import RAY_TYPES, Scene
-from .. import writeback
+from .. import roles, writeback
 from ..console import muted
 from ..depsgraph import rendered_layers
 from ..extract import Extraction, Extractor
@@ -40,7 +41,7 @@ class Session:
         self.keep = keep and not renders and len(job.frames) > 1
         self._extractor: Extractor | None = None
         self._shot: Shot | None = None
-        self._pinned: np.ndarray | None = None  # what the frame needs at other moments of its exposure
+        self._pinned: NDArray[np.bool_] | None = None  # what the frame needs at other moments of its exposure
 
     def __enter__(self) -> Session:
         return self
@@ -99,7 +100,7 @@ class Session:
         if not self.job.options.memory:
             return extraction
         scene, stays = limited(extraction, bpy.context.scene, self.job.process or PROCESS)
-        self._pinned = stays if self._pinned is None else self._pinned | stays
+        self._pinned = _either(self._pinned, stays)
         return replace(extraction, scene=scene)
 
     def end_reading(self) -> None:
@@ -114,11 +115,17 @@ class Session:
         instances and meshes."""
         from ...core.culling.shot import Shot
 
+        pinned = _either(self._pinned, roles.untouched(extraction.keys))
         if self.job.options.policy != LIGHT_PATHS and self.job.engine in BLENDER_ENGINES:
-            return _by_rule(extraction.scene, self.job.options, self._pinned)
+            return _by_rule(extraction.scene, self.job.options, pinned)
         if self._shot is None:
             self._shot = Shot(self.job.options, independent=not self.job.warm)
-        return self._shot.advance(scene or extraction.scene, extraction.change, progress, cancelled, self._pinned)
+        return self._shot.advance(scene or extraction.scene, extraction.change, progress, cancelled, pinned)
+
+
+def _either(a: NDArray[np.bool_] | None, b: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    """What one of two masks names, where there is any."""
+    return b if a is None else a if b is None else a | b
 
 
 def _by_rule(scene: Scene, options: CullOptions, pinned: np.ndarray | None) -> CullingResult:

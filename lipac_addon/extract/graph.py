@@ -20,12 +20,11 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.scene.model import InstanceFlag, RayType
-from ..keys import Kind
+from ..keys import Kind, full_name
 from .geometry.geometry_sets import Geometry, GeometryReader
 from .graph_items import (
     Members,
     Node,
-    full_name,
     is_divisible,
     legacy_instancing,
     matrix,

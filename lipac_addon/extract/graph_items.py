@@ -76,11 +76,6 @@ def matrix(value: Any) -> F64:
     return np.array(value, np.float64)[:3]
 
 
-def full_name(data: Any) -> str:
-    """Name that finds a datablock again: for linked ones the library path and the name, with a newline between."""
-    return f"{data.library.filepath}\n{data.name}" if data.library is not None else str(data.name)
-
-
 def ray_visibility(item: Any) -> int:
     """Bits per RayType of an object's ray visibility."""
     flags = (

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ...core.scene.model import Scene
 from ..extract import Extraction
-from ..keys import Kind
-from ..writeback.plan import full_name, make_plan
+from ..keys import Kind, full_name
+from ..writeback.plan import make_plan
 from .costs import costs_of
 
 PROCESS = 430_000_000  # bytes of Blender as a module with an empty file, where the process that renders does not say

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import EnumProperty
 
+from .. import roles
 from .jobs import analysis, engine, job, live
 from .jobs.analysis import AnalysisJob
 from .jobs.difference import DifferenceJob
@@ -173,7 +174,7 @@ class LIPAC_OT_mark(Explained, bpy.types.Operator):
     bl_label = "Mark Selected"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    role: EnumProperty(name="Culling", description="Whether the analysis may cull them", items=props.ROLES)  # type: ignore[valid-type]
+    role: EnumProperty(name="Culling", description="Whether the analysis may cull them", items=roles.ROLES)  # type: ignore[valid-type]
 
     @classmethod
     def obstacle(cls, context: bpy.types.Context) -> str:
@@ -181,7 +182,7 @@ class LIPAC_OT_mark(Explained, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context: bpy.types.Context, properties: Any) -> str:
-        return next(text for name, _label, text, *_ in props.ROLES if name == properties.role)
+        return next(text for name, _label, text, *_ in roles.ROLES if name == properties.role)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         editable = [ob for ob in context.selected_objects if ob.is_editable]

@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 
 from ...core.culling.policies import POLICIES
+from .. import roles
 from .draw.boxes import KINDS
 from .draw.figures import LONGEST, lines, rows_of, rows_of_difference, rows_of_object, rows_of_renders
 from .jobs import engine, job, live
@@ -21,7 +22,7 @@ from .operators import (
     LIPAC_OT_restore,
 )
 from .overview import draw_live, draw_overview, draw_running, draw_without_engine, write
-from .state import applying, props, results
+from .state import applying, results
 from .submit import LIPAC_OT_submit_shot
 
 
@@ -140,7 +141,7 @@ class LIPAC_PT_object(Child, bpy.types.Panel):
             layout.prop(context.collection, "lipac_role", text=context.collection.name)
         row = layout.row(align=True)
         row.label(text="Selected")
-        for name, label, *_ in props.ROLES:
+        for name, label, *_ in roles.ROLES:
             row.operator(LIPAC_OT_mark.bl_idname, text=label).role = name
 
 

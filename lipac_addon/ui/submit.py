@@ -70,11 +70,6 @@ class LIPAC_OT_submit_shot(Explained, bpy.types.Operator):
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        if props.marked(props.PIN) or props.marked(props.IGNORE):
-            self.report(
-                {"WARNING"},
-                "Pin and Ignore are settings of this panel: the farm's analysis decides by light paths alone",
-            )
         self.report({"INFO"}, told)
         if not bpy.app.background:
             bpy.ops.wm.path_open(filepath=str(folder))

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import F32
-from ..keys import Keys
+from ..keys import Keys, full_name
 from . import emptying, marks, mask
 from . import faces as face_mask
-from .plan import EMPTY, Plan, full_name, make_plan
+from .plan import EMPTY, Plan, make_plan
 
 __all__ = ["WritebackResult", "apply", "restore"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import Records
-from ..keys import Keys, Kind
+from ..keys import Keys, Kind, full_name
 from .emptying import can_be_emptied
 from .references import References, instances_others, is_animated, scenes_in_picture, simulates, takes_modifiers
 from .sources import unread
@@ -346,8 +346,3 @@ class Planner(Obstacles):
             kept[reason] += int(count)
             named[self.names[ob if ob >= 0 else host]] = reason
         return dict(kept.most_common()), named
-
-
-def full_name(ob: bpy.types.Object) -> str:
-    """The name of an object in `Keys`."""
-    return ob.name if ob.library is None else f"{ob.library.filepath}\n{ob.name}"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import bpy
 
+from ... import roles
 from ...writeback.marks import HIDDEN, MASKED, PARTICLES
-from ..state import props, results
+from ..state import results
 
 LONGEST = 40  # characters of a line in a sidebar of usual width
 _HIDDEN = {HIDDEN: "all of it", MASKED: "instances that it scatters", PARTICLES: "its particles"}
@@ -82,7 +83,7 @@ def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tu
     else:
         why = "light paths meet it"
     rows.append(("Because", why))
-    if reason.kept < reason.instances and ob.lipac_role == props.PIN:
+    if reason.kept < reason.instances and ob.lipac_role == roles.PIN:
         rows.append(("In renders", "pinned since: kept"))
     rows += [
         (f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n
@@ -100,4 +101,4 @@ def rows_of_renders(words: list[str]) -> list[tuple[str, str]]:
 
 def _is_pinned(ob: bpy.types.Object, met: bool) -> bool:
     """Whether it is pinned. All collections are looked through only for what no light path met."""
-    return ob.lipac_role == props.PIN or (not met and ob in props.marked(props.PIN))
+    return ob.lipac_role == roles.PIN or (not met and ob in roles.marked(roles.PIN))

@@ -21,6 +21,7 @@ import numpy as np
 
 from ....core.culling.policies import LIGHT_PATHS
 from ....core.errors import InputError
+from ... import roles
 from ..state import applying, props, results, session
 from . import engine, job
 from .background import AskedMeshes, in_thread
@@ -63,7 +64,7 @@ class Live:
         self._dirty, self._goes_on = True, False  # something changed; the graph is the one that was read last
         self._reader: SceneReader | None = None
         self._world = LiveWorld()
-        self._role_changes = props.role_changes
+        self._role_changes = roles.changes
         self._frame: _Frame | None = None
         self._shot: Shot | None = None
         self._rest = 0
@@ -102,8 +103,8 @@ class Live:
     def tick(self) -> bool:
         """Do a little on the main thread. True where there is something new to show."""
         before = self.rounds, self.error
-        if self._role_changes != props.role_changes:
-            self._role_changes, self._dirty = props.role_changes, True
+        if self._role_changes != roles.changes:
+            self._role_changes, self._dirty = roles.changes, True
         try:
             next(self._steps, None)
             changed = self._cull_viewport()

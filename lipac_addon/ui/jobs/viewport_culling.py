@@ -21,9 +21,10 @@ import bpy
 import numpy as np
 
 from ....core.arrays import F32, F64, I64
+from ... import roles
 from ...keys import Kind
 from ...writeback.viewport_plan import Candidates, candidates, viewport_plan
-from ..state import props, results, session
+from ..state import results, session
 from .background import in_thread
 from .foresight import Foresight, half_angle, is_large
 from .viewport_switches import OutSet, Rows, Switches
@@ -296,7 +297,7 @@ def _whom(layer: bpy.types.ViewLayer) -> tuple[object, ...]:
     """What tells that other objects must not vanish."""
     chosen = frozenset(ob.session_uid for ob in (*layer.objects.selected, *session.not_in_object_mode()))
     active = layer.objects.active
-    return chosen, active and active.session_uid, props.role_changes
+    return chosen, active and active.session_uid, roles.changes
 
 
 def _guarded(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> tuple[object, ...]:
@@ -319,8 +320,7 @@ def protection(
     chosen = {
         *layer.objects.selected,
         *session.not_in_object_mode(),
-        *props.marked(props.PIN),
-        *props.marked(props.IGNORE),
+        *roles.marked(roles.PIN, roles.IGNORE),
     }
     whole, active = results.among(result.uids, chosen), layer.objects.active
     own = None if active is None else np.append(results.among(result.uids, {active}), False)

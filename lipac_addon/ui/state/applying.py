@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ... import writeback
+from ... import roles, writeback
 from ...keys import Kind
 from ...writeback.marks import HIDDEN, MASKED, all_marks
 from ...writeback.references import scenes_in_picture
-from . import props, results, scatters, session
+from . import results, scatters, session
 from .results import FrameResult
 
 CHANGED = "their scatter has changed since the analysis: analyze again"
@@ -46,7 +46,7 @@ def apply(
     """
     global notes, _last  # noqa: PLW0603
     restore(in_render)
-    culled = result.culled & ~result.of_objects(props.marked(props.PIN) | props.marked(props.IGNORE))
+    culled = result.culled & ~result.of_objects(roles.marked(roles.PIN, roles.IGNORE))
     changed = culled & _of_changed(scene, result)
     keys = result.current_keys()
     rows = (

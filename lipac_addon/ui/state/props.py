@@ -9,6 +9,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
 from ....core.culling.policies import NOTHING, POLICIES
+from ... import roles
 from . import preferences, results, session
 
 if TYPE_CHECKING:
@@ -19,15 +20,8 @@ if TYPE_CHECKING:
     from ....core.culling.options import CullOptions
     from ...keys import Keys
 
-AUTO, PIN, IGNORE = "AUTO", "PIN", "IGNORE"
-ROLES = (
-    (AUTO, "Automatic", "The analysis decides", "NONE", 0),
-    (PIN, "Pin", "Never cull: the analysis keeps it, whatever its light paths say", "PINNED", 1),
-    (IGNORE, "Ignore", "Stay out of it: the analysis sees it, but renders show it as you set it", "GHOST_DISABLED", 2),
-)
 _OFFERED = [policy for policy in POLICIES.values() if policy.listed and policy.name != NOTHING]
 CURRENT, RANGE = "CURRENT", "RANGE"
-role_changes = 0  # how often a role was set: no dependency graph tells
 
 
 def _lock_interface(settings: LipacSettings, _context: bpy.types.Context) -> None:
@@ -46,11 +40,6 @@ def _redraw(settings: LipacSettings, _context: bpy.types.Context) -> None:
 def _freeze(settings: LipacSettings, _context: bpy.types.Context) -> None:
     results.freeze(settings.id_data, settings.freeze)
     session.redraw()
-
-
-def _role(_owner: bpy.types.ID, _context: bpy.types.Context) -> None:
-    global role_changes  # noqa: PLW0603
-    role_changes += 1
 
 
 def _preferred(name: str) -> Callable[[Any, float, bool], float]:
@@ -194,7 +183,6 @@ for _own in [policy.setting for policy in _OFFERED if policy.setting is not None
         max=min(_own.most, 3.4e38),
         subtype=_own.kind,
     )
-_ROLE_OWNERS: tuple[Any, ...] = (bpy.types.Object, bpy.types.Collection)
 
 
 def own_setting(settings: LipacSettings) -> float | None:
@@ -220,20 +208,11 @@ def cull_options(settings: LipacSettings) -> CullOptions:
     )
 
 
-def marked(role: str) -> set[bpy.types.Object]:
-    """Objects of the file with a role of their own, or in a collection (at any depth) with it."""
-    found = {ob for ob in bpy.data.objects if ob.lipac_role == role}
-    for collection in (*bpy.data.collections, *(scene.collection for scene in bpy.data.scenes)):
-        if collection.lipac_role == role:
-            found.update(collection.all_objects)
-    return found
-
-
 def pinned(keys: Keys, uids: I64) -> NDArray[np.bool_] | None:
     """(N,) bool: instances that stay whatever paths meet; None where nothing is pinned. keys, uids: as of
     `results.FrameResult`."""
-    pins = marked(PIN)
-    return results.instances_of(keys, results.among(uids, pins)) if pins else None
+    pins = roles.marked(roles.PIN)
+    return roles.instances_of(keys, results.among(uids, pins)) if pins else None
 
 
 def asked_frames(scene: bpy.types.Scene) -> tuple[int, ...]:
@@ -247,23 +226,14 @@ def frame_range(scene: bpy.types.Scene) -> range:
 
 
 def register() -> None:
-    """Put the settings on scenes, and roles on objects and collections: no group of properties, of which Blender saves
-    nothing on a library override."""
+    """Put the settings on scenes, and roles on objects and collections."""
     bpy.utils.register_class(LipacSettings)
     bpy.types.Scene.lipac = PointerProperty(type=LipacSettings, name="LiPaC", description="Light path guided culling")
-    for owner in _ROLE_OWNERS:
-        owner.lipac_role = EnumProperty(
-            name="Culling",
-            description="Whether the analysis may cull this",
-            items=ROLES,
-            override={"LIBRARY_OVERRIDABLE"},
-            update=_role,
-        )
+    roles.register()
 
 
 def unregister() -> None:
     """Take them away again."""
-    for owner in _ROLE_OWNERS:
-        del owner.lipac_role
+    roles.unregister()
     del bpy.types.Scene.lipac
     bpy.utils.unregister_class(LipacSettings)

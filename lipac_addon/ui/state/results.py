@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
-from ...keys import Keys
-from ...writeback.plan import full_name
+from ... import roles
+from ...keys import Keys, full_name
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -105,7 +105,7 @@ class FrameResult:
 
     def of_objects(self, objects: set[bpy.types.Object]) -> NDArray[np.bool_]:
         """(N,) bool: the instances that show one of some objects, or are made by one."""
-        return instances_of(self.keys, among(self.uids, objects))
+        return roles.instances_of(self.keys, among(self.uids, objects))
 
     def reason(self, ob: bpy.types.Object) -> Reason:
         """What was found about the instances that show an object or are made by it."""
@@ -133,12 +133,6 @@ class Difference:
 def among(uids: I64, objects: Collection[bpy.types.Object]) -> NDArray[np.bool_]:
     """(names,) bool: which session uids are those of some objects."""
     return np.isin(uids, np.fromiter((ob.session_uid for ob in objects), np.int64, len(objects)))
-
-
-def instances_of(keys: Keys, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(N,) bool: instances whose object or host is among chosen, (names,) bool."""
-    table = np.append(chosen, False)  # index -1: no such object
-    return table[keys.records["object"]] | table[keys.records["host"]]
 
 
 def session_uids(keys: Keys) -> I64:

@@ -13,9 +13,9 @@ import pytest
 from lipac.core.scene.model import InstanceFlag, RayType
 from lipac.core.scene.placing import usable_transforms
 from lipac.lipac_addon.extract import ExtractedWorld, Extraction, extract, extract_world, with_render_depsgraph
-from lipac.lipac_addon.extract.graph_items import full_name, ray_visibility
+from lipac.lipac_addon.extract.graph_items import ray_visibility
 from lipac.lipac_addon.extract.session import extract_frame
-from lipac.lipac_addon.keys import Kind
+from lipac.lipac_addon.keys import Kind, full_name
 
 from .conftest import add, collection, cube, grid, instance_of, nodes, scattered, wedge
 

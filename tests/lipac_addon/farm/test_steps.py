@@ -15,14 +15,18 @@ import numpy as np
 import pytest
 
 from lipac.core.culling.options import State
+from lipac.core.error_budget.budget import Budget
 from lipac.core.errors import InputError
 from lipac.core.files.report import load_states, save_states
 from lipac.lipac_addon.batch.deciding import decide_layers
 from lipac.lipac_addon.batch.shot_set import ShotSet
 from lipac.lipac_addon.farm import analyse, certificate, children, unite, verify
+from lipac.lipac_addon.farm.jobs.writing import Wanted, write_shot
 from lipac.lipac_addon.farm.layout import FarmShot, read_json
 from lipac.lipac_addon.farm.opening import open_shot
+from lipac.lipac_addon.open import open_scene
 from lipac.lipac_addon.pictures import read_picture
+from lipac.lipac_addon.roles import PIN
 from lipac.scripts.lipac import main
 
 pytestmark = pytest.mark.slow
@@ -86,6 +90,19 @@ def test_chunks_in_any_order_give_the_set_of_one(shot: FarmShot) -> None:
         a, b = (load_states(shot.folder / name / f"frame_{frame:04}.npz") for name in ("other", "analysis"))
         for name in ("state", "score", "hits"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_what_is_pinned_is_rendered(rising: Path, tmp_path: Path) -> None:
+    """A box that no light path of the frame meets, in the file that is rendered."""
+    open_scene(rising)
+    bpy.data.objects["box5"].lipac_role = PIN
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "pinned.blend"))
+    shot = write_shot(tmp_path / "shot", tmp_path / "pinned.blend", Wanted((1,), Budget(0.05, 0.3), 2))
+    analyse.analyse(shot, shot.frames)
+    unite.unite(shot)
+    bpy.ops.wm.open_mainfile(filepath=str(shot.culled))
+    assert {ob.name for ob in bpy.data.objects if ob.name in ("box4", "box5", "box6", "box7")} == {"box5"}
+    assert not bpy.data.objects["box5"].hide_render
 
 
 def mended(shot: FarmShot, frame: int) -> str:

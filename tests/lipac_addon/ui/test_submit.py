@@ -42,13 +42,6 @@ def test_a_job_is_written(saved: Any, tmp_path: Path, farm: str, file: str, capf
         assert (values["LiPaC"], values["Blender"]) == ("/opt/lipac", "/opt/blender")
 
 
-def test_pin_is_not_known_there(saved: Any, capfd: pytest.CaptureFixture[str]) -> None:
-    bpy.data.objects["box1"].lipac_role = "PIN"
-    bpy.ops.wm.save_mainfile()
-    bpy.ops.lipac.submit_shot()
-    assert "Pin and Ignore are settings of this panel" in capfd.readouterr().out
-
-
 def test_what_stands_in_its_way(saved: Any) -> None:
     obstacle = LIPAC_OT_submit_shot.obstacle
     assert obstacle(bpy.context) == ""

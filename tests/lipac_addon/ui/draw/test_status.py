@@ -8,11 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
+from lipac.lipac_addon import roles
 from lipac.lipac_addon.ui import handlers, panel
 from lipac.lipac_addon.ui.draw import figures
 from lipac.lipac_addon.ui.jobs import difference, job, live
 from lipac.lipac_addon.ui.jobs.analysis import AnalysisJob
-from lipac.lipac_addon.ui.state import applying, props, results, session
+from lipac.lipac_addon.ui.state import applying, results, session
 from lipac.lipac_addon.writeback import apply as write_back
 
 FAR = {"box4", "box5", "box6", "box7"}
@@ -227,12 +228,12 @@ def test_pins_on_overrides_are_saved(scene, boxes_file, tmp_path):
     for ob in to.objects:
         scene.collection.objects.link(ob)  # Blender 5.3 overrides only what the file uses
     for ob, role in zip(
-        [ob.override_create(remap_local_usages=True) for ob in to.objects], (props.PIN, props.IGNORE), strict=True
+        [ob.override_create(remap_local_usages=True) for ob in to.objects], (roles.PIN, roles.IGNORE), strict=True
     ):
         ob.lipac_role = role
     names = [ob.name for ob in scene.objects if ob.override_library]
     reopen(tmp_path / "file.blend")
-    assert [bpy.data.objects[name, None].lipac_role for name in names] == [props.PIN, props.IGNORE]
+    assert [bpy.data.objects[name, None].lipac_role for name in names] == [roles.PIN, roles.IGNORE]
 
 
 def test_what_is_pinned_is_never_culled(scene):

@@ -9,10 +9,11 @@ import bpy
 import numpy as np
 import pytest
 
+from lipac.lipac_addon import roles
 from lipac.lipac_addon.ui.draw import overlay
 from lipac.lipac_addon.ui.jobs import job, live
 from lipac.lipac_addon.ui.jobs.analysis import AnalysisJob
-from lipac.lipac_addon.ui.state import props, results
+from lipac.lipac_addon.ui.state import results
 from lipac.tests.lipac_addon.writeback.conftest import link, points, scatter, triangle
 
 FAR = {"box4", "box5", "box6", "box7"}
@@ -102,7 +103,7 @@ def test_playback(watched):
 
 def test_pins_and_options(watched):
     settle()
-    bpy.data.objects["box4"].lipac_role = props.PIN
+    bpy.data.objects["box4"].lipac_role = roles.PIN
     settle()
     assert "box4" in kept()
     watched.lipac.distance = 1000.0

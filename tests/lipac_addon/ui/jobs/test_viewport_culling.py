@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import lipac
+from lipac.lipac_addon import roles
 from lipac.lipac_addon.ui import handlers
 from lipac.lipac_addon.ui.jobs import foresight, live, viewport_culling, viewport_switches
-from lipac.lipac_addon.ui.state import applying, props, results
+from lipac.lipac_addon.ui.state import applying, results
 from lipac.lipac_addon.writeback import viewport
 from lipac.lipac_addon.writeback.viewport_plan import candidates
 from lipac.tests.lipac_addon.writeback.conftest import link, points, scatter, triangle
@@ -191,7 +192,7 @@ def test_what_the_user_is_at_does_not_vanish(culled, by):
         elif by == "cursor":
             culled.cursor.location = box.location
         elif by in {"pinned", "ignored"}:
-            box.lipac_role = props.PIN if by == "pinned" else props.IGNORE
+            box.lipac_role = roles.PIN if by == "pinned" else roles.IGNORE
         else:
             box.hide_set(False)
             bpy.context.view_layer.objects.active = box

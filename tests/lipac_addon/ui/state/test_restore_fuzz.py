@@ -14,8 +14,8 @@ import bpy
 import numpy as np
 import pytest
 
+from lipac.lipac_addon import roles
 from lipac.lipac_addon.ui.jobs import live
-from lipac.lipac_addon.ui.state import props
 from lipac.lipac_addon.writeback import viewport
 from lipac.tests.lipac_addon.ui.jobs.test_viewport_culling import look, no_waiting
 from lipac.tests.lipac_addon.writeback.conftest import collection, custom, empty, link, plain, points, scatter, triangle
@@ -191,7 +191,7 @@ def new_collection(rng):
 
 
 def mark(rng):
-    name, role = mine(rng), (props.PIN, props.IGNORE, props.AUTO)[rng.integers(3)]
+    name, role = mine(rng), (roles.PIN, roles.IGNORE, roles.AUTO)[rng.integers(3)]
     return lambda: setattr(ob(name), "lipac_role", role)
 
 
