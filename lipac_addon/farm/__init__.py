@@ -8,6 +8,7 @@ What a step leaves, in the shot's folder (`layout`):
     job.json                    what is asked; its `key` stands in all that is made from it, so that nothing made
     otherwise counts render/render_frames.py     renders frames in any Blender, without this add-on
     analysis/frame_0001.npz     what a frame needs by itself                                  analyze
+    analysis/frames_0001-0010.npz   what frames of a chunk need together, so that few files are united  analyze
     shot.blend, shot.json       the scene with one set for all frames; which set that is      unite
     pictures/frame_0001.png     and .json: seconds, memory, from which set                    render
     verified/frame_0007.json    what culling changes in a frame of the sample, and what was done about it   verify

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -114,6 +115,10 @@ class FarmShot:
     def analysis(self, frame: int) -> Path:
         """What a frame needs."""
         return self.folder / "analysis" / f"frame_{frame:04}.npz"
+
+    def chunk(self, frames: Sequence[int]) -> Path:
+        """What frames that were analysed together need together."""
+        return self.folder / "analysis" / f"frames_{frames[0]:04}-{frames[-1]:04}.npz"
 
     @property
     def culled(self) -> Path:

@@ -23,7 +23,7 @@ from .analyse import decide_frames, note_of
 from .children import crops_of, render
 from .layout import FarmShot, read_json, rendered_from, write_json
 from .opening import open_shot
-from .unite import save_culled, united
+from .unite import parts_of, save_culled, united
 
 MENDS = 3  # larger sets that are tried, the last one with everything
 ALL = "all"
@@ -117,7 +117,7 @@ def mend(
     ]
     if todo:
         decide_frames(shot, todo, replace(shot.options(threads), max_error=budget), place, progress, cancelled)
-    save_culled(united(shot, [*map(shot.analysis, shot.frames), *map(place, span)]), file)
+    save_culled(united(shot, [*parts_of(shot), *map(place, span)]), file)
     return file
 
 

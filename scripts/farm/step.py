@@ -95,10 +95,9 @@ def done(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> int
         )
     line, status = "", 0
     if args.step == "analyze":
-        line = (
-            f"{analyse.analyse(shot, frames, args.threads, progress, cancelled)} of {len(frames)} frames "
-            "analysed, the others were there"
-        )
+        done = analyse.analyse(shot, frames, args.threads, progress, cancelled)
+        unite.unite_chunk(shot, frames)
+        line = f"{done} of {len(frames)} frames analysed, the others were there"
     elif args.step == "unite":
         found = unite.unite(shot, progress, cancelled)
         line = f"{found['active']:,} of {found['instances']:,} instances stay"

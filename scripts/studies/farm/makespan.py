@@ -21,7 +21,8 @@ class Measured:
     """What was measured, in seconds.
 
     analyze, render: of frames; verify: of verified frames. start: of a process until its first frame, by step.
-    per_frame: for each frame of the shot, of the steps that are one task. bytes: of the files scene, culled, analysis
+    per_frame: for each frame of the shot, of the steps that are one task; "unite" of each file of states that is read,
+    "look" of each frame whose file a chunk's is held against. bytes: of the files scene, culled, analysis
     and picture. ratio: of rendering in full to culled.
     """
 
@@ -66,9 +67,16 @@ def simulate(measured: Measured, frames: int, workers: int, checks: int, farm: F
     draw, size, per = random.Random(seed), measured.bytes, measured.per_frame
     chunk = chunk_of(frames, workers)
     parts = [min(chunk, frames - k) for k in range(0, frames, chunk)]
+    written = [n + (n > 1) for n in parts]  # a chunk's union, too
+    own = [sum(draw.choices(measured.analyze, k=n)) + (n > 1) * n * per["unite"] for n in parts]
     tasks = {
-        "analyze": [(sum(draw.choices(measured.analyze, k=n)), size["scene"] + n * size["analysis"]) for n in parts],
-        "unite": [(per["unite"] * frames, size["scene"] + frames * size["analysis"] + size["culled"])],
+        "analyze": [(seconds, size["scene"] + k * size["analysis"]) for seconds, k in zip(own, written, strict=True)],
+        "unite": [
+            (
+                per["unite"] * len(parts) + per["look"] * frames,
+                size["scene"] + len(parts) * size["analysis"] + size["culled"],
+            )
+        ],
         "render": [(sum(draw.choices(measured.render, k=n)), size["culled"] + n * size["picture"]) for n in parts],
         "verify": [(seconds, size["scene"] + size["culled"]) for seconds in draw.choices(measured.verify, k=checks)],
         "certify": [(per["certify"] * frames, 0)],

@@ -75,7 +75,7 @@ def measure(scene: Path, folder: Path, asked: Sequence[str]) -> dict[str, Any]:
         note_of(shot.analysis(frame))
         read_json(shot.rendered(frame))
     certify = (time.perf_counter() - begin) / len(frames)
-    per_frame = {"unite": _union_seconds(shot), "certify": certify}
+    per_frame = {"unite": _union_seconds(shot), "look": _look_seconds(shot), "certify": certify}
     beside = {name: max(walls[name] - sum(own[name]), 0.0) for name in ("analyze", "render")}
     beside["verify"] = max(walls["verify"] - sum(own["verify"]), 0.0)
     beside |= {name: max(walls[name] - per_frame[name] * len(frames), 0.0) for name in ("unite", "certify")}
@@ -115,6 +115,16 @@ def _union_seconds(shot: FarmShot) -> float:
 
     begin = time.perf_counter()
     united(shot, [shot.analysis(frame) for frame in shot.frames])
+    return (time.perf_counter() - begin) / len(shot.frames)
+
+
+def _look_seconds(shot: FarmShot) -> float:
+    """Of a frame: its file held against that of a chunk."""
+    from ....lipac_addon.farm.unite import contents
+
+    begin = time.perf_counter()
+    for frame in shot.frames:
+        contents(shot.analysis(frame))
     return (time.perf_counter() - begin) / len(shot.frames)
 
 
@@ -159,7 +169,8 @@ def measured_table(found: dict[str, Any]) -> str:
     frames = last - first + 1
     rows = [
         ("analyze", "a frame", fmean(found["analyze"]), found["start"]["analyze"], peak["analysis"]),
-        ("unite", "a frame's states", found["per_frame"]["unite"], found["start"]["unite"], peak["unite"]),
+        ("unite", "a file of states", found["per_frame"]["unite"], found["start"]["unite"], peak["unite"]),
+        ("", "a frame that a chunk holds", found["per_frame"]["look"], 0.0, 0),
         ("render", "a frame, culled", fmean(found["render"]), found["start"]["render"], peak["render"]),
         (
             "render",
@@ -172,7 +183,7 @@ def measured_table(found: dict[str, Any]) -> str:
         ("certify", "a frame's notes", found["per_frame"]["certify"], found["start"]["certify"], 0),
     ]
     lines = [
-        f"| {step} | {what} | {_short(own)} | {start:.1f} s | {size(memory) if memory else ''} |"
+        f"| {step} | {what} | {_short(own)} | {f'{start:.1f} s' if start else ''} | {size(memory) if memory else ''} |"
         for step, what, own, start, memory in rows
     ]
     head = ["| step | of | seconds | and once a task | peak memory |", "|---|---|---:|---:|---:|"]
@@ -180,14 +191,19 @@ def measured_table(found: dict[str, Any]) -> str:
     size_of = {name: size(count) for name, count in found["bytes"].items()}
     return "\n".join(
         [
-            f"Frames {first}-{last} of `flythrough` with {shot['instances']:,} instances, "
-            f"{'x'.join(map(str, shot['resolution']))}, {shot['samples']} samples: "
-            f"a frame needs {kept['needed']:,.0f} of them on average, the shot {kept['active']:,}. Two verified frames "
-            "change by "
-            f"{' and '.join(f'{100 * error:.2g} %' for error in found['error'])}. All {frames} frames took "
-            f"{clock(total)}. Files: the scene "
-            f"{size_of['scene']}, shot.blend {size_of['culled']}, a frame's analysis {size_of['analysis']}, its "
-            f"picture {size_of['picture']}.",
+            textwrap.fill(
+                f"Frames {first}-{last} of `flythrough` with {shot['instances']:,} instances, "
+                f"{'x'.join(map(str, shot['resolution']))}, {shot['samples']} samples: "
+                f"a frame needs {kept['needed']:,.0f} of them on average, the shot {kept['active']:,}. "
+                "Two verified frames change by "
+                f"{' and '.join(f'{100 * error:.2g} %' for error in found['error'])}. All {frames} frames took "
+                f"{clock(total)}. Files: the scene "
+                f"{size_of['scene']}, shot.blend {size_of['culled']}, a frame's analysis {size_of['analysis']}, its "
+                f"picture {size_of['picture']}.",
+                120,
+                break_long_words=False,
+                break_on_hyphens=False,
+            ),
             "",
             *head,
             *lines,

@@ -10,7 +10,7 @@ from lipac.scripts.studies.farm.makespan import STEPS, Farm, Measured, chunk_of,
 
 NOTHING = dict.fromkeys(STEPS, 0.0)
 MEASURED = Measured(
-    analyze=[3.0], render=[2.0], verify=[5.0], start=NOTHING, per_frame={"unite": 0.01, "certify": 0.0},
+    analyze=[3.0], render=[2.0], verify=[5.0], start=NOTHING, per_frame={"unite": 0.01, "look": 0.001, "certify": 0.0},
     bytes=dict.fromkeys(("scene", "culled", "analysis", "picture"), 0), ratio=4.0,
 )  # fmt: skip
 IDEAL = Farm(handing_out=0.0)
@@ -18,21 +18,22 @@ IDEAL = Farm(handing_out=0.0)
 
 def test_one_machine_does_all_one_after_the_other() -> None:
     run = simulate(MEASURED, 100, 1, 4, IDEAL)
-    assert run.steps == pytest.approx({"analyze": 300.0, "unite": 1.0, "render": 200.0, "verify": 20.0, "certify": 0.0})
-    assert run.total == pytest.approx(521.0)
+    assert run.steps == pytest.approx({"analyze": 301.0, "unite": 0.2, "render": 200.0, "verify": 20.0, "certify": 0.0})
+    assert run.total == pytest.approx(521.2)
     assert in_full(MEASURED, 100, 1, IDEAL) == pytest.approx(800.0)
 
 
 def test_many_machines_leave_what_cannot_be_shared() -> None:
-    """A frame each; the union grows with the frames."""
+    """A frame each; the union grows with the frames, and, where machines unite chunks of them, with those."""
     run = simulate(MEASURED, 100, 1000, 4, IDEAL)
-    assert run.steps == pytest.approx({"analyze": 3.0, "unite": 1.0, "render": 2.0, "verify": 5.0, "certify": 0.0})
-    assert simulate(MEASURED, 1000, 1000, 4, IDEAL).steps["unite"] == pytest.approx(10.0)
+    assert run.steps == pytest.approx({"analyze": 3.0, "unite": 1.1, "render": 2.0, "verify": 5.0, "certify": 0.0})
+    assert simulate(MEASURED, 1000, 1000, 4, IDEAL).steps["unite"] == pytest.approx(11.0)
+    assert simulate(MEASURED, 10_000, 1000, 4, IDEAL).steps["unite"] == pytest.approx(20.0)
 
 
 def test_handing_out_and_starting_are_paid_by_each_task() -> None:
     slow = replace(MEASURED, start=NOTHING | {"analyze": 7.0})
-    assert simulate(slow, 100, 1, 4, Farm(handing_out=2.0)).steps["analyze"] == pytest.approx(300.0 + 10 * (2.0 + 7.0))
+    assert simulate(slow, 100, 1, 4, Farm(handing_out=2.0)).steps["analyze"] == pytest.approx(301.0 + 10 * (2.0 + 7.0))
 
 
 def test_the_shared_folder_is_shared() -> None:
