@@ -27,7 +27,7 @@ def main(argv: Sequence[str]) -> int:
     args = parser.parse_args(argv)
     if line := not_here(args.folder):
         raise InputError(line)
-    from ..core.page.report_page import write
+    from ..page.report_page import write
 
     say(str(write(args.folder, args.full)), sys.stdout)
     return 0

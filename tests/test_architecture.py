@@ -16,7 +16,7 @@ import lipac
 from lipac.scripts.dev.pages import architecture_page
 
 ROOT = Path(lipac.__file__).parent
-FOLDERS = ("core", "lipac_addon", "scripts")
+FOLDERS = ("core", "page", "lipac_addon", "scripts")
 MODULES_TO_A_FOLDER, LINES_TO_A_MODULE, LINES_TO_A_CLASS = 12, 400, 200
 
 # Each imports from floors above it in this list, and from its own. A module belongs to the longest name that fits it.
@@ -34,10 +34,10 @@ FLOORS = (
     "core.culling",
     "core.hybrid",
     "core.evaluation",
-    "core.page",
+    "page",
     "core.warmup",
     "lipac_addon.console lipac_addon.keys lipac_addon.timeline lipac_addon.depsgraph lipac_addon.pictures "
-    "lipac_addon.images",
+    "lipac_addon.images lipac_addon.roles",
     "lipac_addon.extract.materials",
     "lipac_addon.extract.geometry",
     "lipac_addon.extract",

@@ -19,24 +19,25 @@ ROOT = Path(lipac.__file__).parent
 
 
 @pytest.mark.smoke
-def test_core_imports_without_bpy() -> None:
+def test_core_and_page_import_without_bpy() -> None:
     modules = [
         ".".join(("lipac", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
-        for path in sorted((ROOT / "core").rglob("*.py"))
+        for folder in ("core", "page")
+        for path in sorted((ROOT / folder).rglob("*.py"))
     ]
     assert "lipac.core.tracing.bsdf.lobes" in modules
     code = f"import importlib, sys; [importlib.import_module(m) for m in {modules!r}]; sys.exit('bpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_core_never_mentions_bpy_in_an_import() -> None:
-    for path in (ROOT / "core").glob("**/*.py"):
+def test_core_and_page_never_mention_bpy_in_an_import() -> None:
+    for path in (*(ROOT / "core").glob("**/*.py"), *(ROOT / "page").glob("**/*.py")):
         assert not re.search(r"^\s*(import|from)\s+bpy", path.read_text(), re.MULTILINE), path
 
 
 def test_every_room_is_packed() -> None:
     """By pip; the extension's zip takes whole folders."""
-    tops = [ROOT / name for name in ("core", "lipac_addon", "scripts")]
+    tops = [ROOT / name for name in ("core", "page", "lipac_addon", "scripts")]
     rooms = {
         ".".join(("lipac", *path.parent.relative_to(ROOT).parts)) for top in tops for path in top.rglob("__init__.py")
     }

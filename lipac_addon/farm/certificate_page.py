@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ...core.page.curves import Curve, curves
-from ...core.page.html import Figures, render
-from ...core.page.pictures import STEPS, backdrop, of_crops, opened, tiles
-from ...core.page.verdict import BAD, GOOD, Verdict
+from ...page.curves import Curve, curves
+from ...page.html import Figures, render
+from ...page.pictures import STEPS, backdrop, of_crops, opened, tiles
+from ...page.verdict import BAD, GOOD, Verdict
 
 STEPS_OF_SHOT = {
     "analysis": ("analysis", "analysis"),

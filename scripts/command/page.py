@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...core.errors import Cancelled, InputError
-from ...core.page.html import missing
+from ...page.html import missing
 from .streams import say
 
 NOT_HERE = (
@@ -26,7 +26,7 @@ def not_here(folder: Path) -> str:
 @contextmanager
 def leaving(folder: Path) -> Iterator[None]:
     """The page of a folder is that of the report after the work in here, stopped or not; none until then."""
-    from ...core.page.report_page import drop
+    from ...page.report_page import drop
 
     drop(folder)
     try:
@@ -42,7 +42,7 @@ def leave(folder: Path) -> None:
     if line := not_here(folder):
         say(line, sys.stderr)
         return
-    from ...core.page.report_page import write
+    from ...page.report_page import write
 
     try:
         write(folder)

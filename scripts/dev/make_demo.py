@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...core.page.report_page import write
+from ...page.report_page import write
 from ..studies import compare
 from ..studies.compare import CULLED, FULL, OTHER_SEED
 

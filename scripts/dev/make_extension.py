@@ -43,7 +43,7 @@ STYLE = (
     "body{max-width:60em;margin:2em auto;font:16px/1.5 sans-serif}img{max-width:100%}td,th{padding:.2em "
     ".6em;text-align:left;border:1px solid #ccc}"
 )
-PACKAGES = ("core", "lipac_addon", "scripts")
+PACKAGES = ("core", "page", "lipac_addon", "scripts")
 SUFFIXES = {".py", ".npz", ".c", ".sh", ".js", ".html", ".css"}
 
 

@@ -13,10 +13,10 @@ from ...core.culling.policies import RULES
 from ...core.evaluation.evaluate import BUDGETS, COUNTS, ORACLE, OURS, RANDOM, Evaluation
 from ...core.files.atomic import replacing
 from ...core.files.report import size
-from ...core.page.curves import svg_of
-from ...core.page.html import Figures, render
-from ...core.page.pictures import embed, opened
-from ...core.page.verdict import BAD, GOOD, Verdict
+from ...page.curves import svg_of
+from ...page.html import Figures, render
+from ...page.pictures import embed, opened
+from ...page.verdict import BAD, GOOD, Verdict
 from .compare import markdown
 from .hybrid.report import sections, wrapped
 from .machine import measured_by

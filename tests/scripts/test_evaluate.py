@@ -12,7 +12,7 @@ from matplotlib.image import imread
 from lipac.core.evaluation import evaluate, oracle
 from lipac.scripts import lipac
 
-from ..core.page.folder import Page
+from ..page.folder import Page
 
 
 def test_evaluate_end_to_end(

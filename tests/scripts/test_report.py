@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from lipac.core.errors import Cancelled
-from lipac.core.page import html
+from lipac.page import html
 from lipac.scripts.command.page import leave, leaving
 from lipac.scripts.lipac import main
 
-from ..core.page.folder import Page, frame, rendered
+from ..page.folder import Page, frame, rendered
 
 
 def test_it_writes_the_page_and_says_where(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lipac.core.page.report_page import write
+from lipac.page.report_page import write
 from lipac.scripts.dev.browser import BROWSERS, open_browser
 
-from ..core.page.folder import CULLED, FULL, frame, picture, rendered, verified
+from ..page.folder import CULLED, FULL, frame, picture, rendered, verified
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

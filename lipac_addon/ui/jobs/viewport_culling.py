@@ -332,7 +332,7 @@ def protection(
 
     def found() -> Rows:
         records = result.keys.records
-        out = results.instances_of(result.keys, whole)
+        out = roles.instances_of(result.keys, whole)
         if own is not None:
             out |= own[records["object"]] & (records["kind"] == Kind.OBJECT)
         if reach >= 0:

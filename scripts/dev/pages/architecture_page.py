@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "architecture.md"
-FOLDERS = ("core", "lipac_addon", "scripts")
+FOLDERS = ("core", "page", "lipac_addon", "scripts")
 
 
 def main() -> int:

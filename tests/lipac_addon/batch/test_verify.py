@@ -15,7 +15,6 @@ from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation.judge import picture_change
 from lipac.core.files.report import Report
-from lipac.core.page.pictures import of_crops
 from lipac.core.scene.film import LUMINANCE
 from lipac.lipac_addon.batch import enforcing, session
 from lipac.lipac_addon.batch import verify as verifying
@@ -23,6 +22,7 @@ from lipac.lipac_addon.batch.job import Job
 from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.batch.verify import GRID, Verified, change, random_crops
 from lipac.lipac_addon.pictures import read_picture
+from lipac.page.pictures import of_crops
 
 NEAR = CullOptions(policy="distance", setting=13.2)  # culls boxes that the camera sees
 ALL = GRID[0] * GRID[1]

@@ -10,7 +10,7 @@ import pytest
 from lipac.lipac_addon.farm import certificate as certificates
 from lipac.lipac_addon.farm.certificate_page import page, worst_of
 
-from ...core.page.folder import Page, picture
+from ...page.folder import Page, picture
 
 
 def attempt(mean: float, broken: bool = False, mended: str = "") -> dict[str, Any]:

@@ -49,7 +49,7 @@ page, places = part("lipac_addon.ui.manual").manual()
 html = open(page.removeprefix("file://")).read()
 assert page.endswith("user-guide.html")
 assert all(f'id="{place[1:]}"' in html for _, place in places)
-for root in ("core", "lipac_addon", "scripts"):  # all that can be imported is there, with its data
+for root in ("core", "page", "lipac_addon", "scripts"):  # all that can be imported is there, with its data
     for module in pkgutil.walk_packages(part(root).__path__, root + "."):
         if not module.name.endswith("child_render"):  # a script
             part(module.name)

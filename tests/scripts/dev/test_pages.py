@@ -18,7 +18,7 @@ from lipac.scripts.dev.pages import reference_page, supported_page
 from lipac.scripts.lipac import COMMANDS, ENVIRONMENT, STATUSES, main
 
 ROOT = Path(lipac.__file__).parent
-SOURCES = [path for folder in ("core", "lipac_addon", "scripts") for path in (ROOT / folder).rglob("*.py")]
+SOURCES = [path for folder in ("core", "page", "lipac_addon", "scripts") for path in (ROOT / folder).rglob("*.py")]
 
 
 def test_the_reference_is_up_to_date() -> None:

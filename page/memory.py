@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..files.memory_table import MemoryRow, read_rows
+from ..core.files.memory_table import MemoryRow, read_rows
 
 MOST = 12  # rows of a kind
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..arrays import F32
-from ..errors import InputError
-from ..feedback.tiles import COLUMNS, ROWS
-from ..files.atomic import replacing
-from ..files.report import UNREADABLE, found_report, keep_beside
+from ..core.arrays import F32
+from ..core.errors import InputError
+from ..core.feedback.tiles import COLUMNS, ROWS
+from ..core.files.atomic import replacing
+from ..core.files.report import UNREADABLE, found_report, keep_beside
 from .curves import Curve, curves
 from .html import Figures, percent, render, times
 from .memory import takers

@@ -17,10 +17,10 @@ from PIL import Image
 from lipac.core.errors import InputError
 from lipac.core.feedback.tiles import COLUMNS, ROWS, TILES
 from lipac.core.files.memory_table import MemoryRow, write_rows
-from lipac.core.page import html
-from lipac.core.page.pictures import WIDEST, of_crops, tiles
-from lipac.core.page.report_page import write
-from lipac.core.page.verdict import BAD, FAIR, GOOD, verdict
+from lipac.page import html
+from lipac.page.pictures import WIDEST, of_crops, tiles
+from lipac.page.report_page import write
+from lipac.page.verdict import BAD, FAIR, GOOD, verdict
 
 from .folder import CULLED, FULL, SIZE, Page, frame, picture, rendered, report, verified
 

@@ -8,8 +8,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..files.report import size
-from ..progress import clock
+from ..core.files.report import size
+from ..core.progress import clock
 
 if TYPE_CHECKING:
     from jinja2 import Environment

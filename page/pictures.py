@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..arrays import F32, U8
-from ..feedback.picture_change import tile_changes
-from ..feedback.tiles import COLUMNS, ROWS
+from ..core.arrays import F32, U8
+from ..core.feedback.picture_change import tile_changes
+from ..core.feedback.tiles import COLUMNS, ROWS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -136,7 +136,7 @@ def flip_map(full: Image, culled: Image) -> tuple[U8, float] | None:
     and its mean. None where their sizes differ."""
     from matplotlib import colormaps
 
-    from ..evaluation.metrics import flip
+    from ..core.evaluation.metrics import flip
 
     if full.size != culled.size:
         return None
