@@ -16,10 +16,10 @@ from ..core.errors import InputError
 from ..core.progress import Progress, part
 from ..core.threads import processors
 from .studies.machine import made_by
+from .studies.supplied import SUPPLIED
 
 SIZE = (320, 180)
 SAMPLES, FAMILY_SAMPLES, FAMILY_THREADS = 16, 64, 2
-SUPPLIED = Path(__file__).parents[2] / "shared" / "scenes"
 SCENES = ("rooms1024.blend", "candela_city.blend", "kitchen.blend", "indoor.blend")
 DEMOS = {"mirror-city": 20_000, "crowd": 500}
 PIECES = "build"  # folder of finished pieces, which need not be kept

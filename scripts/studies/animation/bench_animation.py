@@ -18,8 +18,8 @@ from ....core.error_budget.budget import Budget
 from ....core.evaluation.judge import TWO_SIDED_95, Judge
 from ....core.scene.change import Change
 from ....core.scene.model import Scene
-from ...evaluate import SUPPLIED
 from .. import compare
+from ..supplied import SUPPLIED
 from .footage import Footage, demo
 
 Mask = NDArray[np.bool_]

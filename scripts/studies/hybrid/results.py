@@ -26,9 +26,9 @@ from ....core.errors import InputError
 from ....core.evaluation.metrics import flip, relative_mse
 from ....core.files.atomic import replacing
 from ....core.files.digest import digest
-from ...evaluate import SUPPLIED
 from ..compare import lipac, pictures
 from ..machine import made_by
+from ..supplied import SUPPLIED
 from . import report
 from .report import (
     CULLED,

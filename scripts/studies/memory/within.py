@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from ....core.files.atomic import replacing
-from ...evaluate import SUPPLIED
 from ..compare import markdown
 from ..machine import stamp
+from ..supplied import SUPPLIED
 
 OPTIONS = ("--resolution", "320x180", "--samples", "4", "--device", "cpu", "--quiet")
 # what changes the picture goes for want of memory alone, and few paths say how much that is

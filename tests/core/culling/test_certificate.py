@@ -177,20 +177,24 @@ def test_what_no_path_meets_is_never_built(monkeypatch: pytest.MonkeyPatch) -> N
     assert 0 < result.active.sum() < most < 100
 
 
-@pytest.mark.parametrize("first", [0, 4], ids=["step by step", "at once"])
-def test_it_stops_where_the_budget_may_break_and_goes_on_for_other_tiles(first: int) -> None:
-    """Cubes that stand apart: one may not go, all behind it in the sequence, or beside it in a first set, may."""
-    places = [(x, 2, 0.4) for x in (-3.0, -1.5, 0.0, 1.5, 3.0)]
-    cubes = [(1, scenes.placed(place, 0.8 if k == 2 else 0.04), 1) for k, place in enumerate(places)]
-    scene = scenes.build(
+def cubes(sizes: dict[float, float]) -> s.Scene:
+    """Dark cubes in a row on the ground, by where they stand and how large they are; instance 0 is the ground."""
+    row = [(1, scenes.placed((x, 2, 0.4), size), 1) for x, size in sizes.items()]
+    return scenes.build(
         [scenes.quad(), scenes.cube()],
-        [(0, scenes.placed((0, 0, 0), 80.0), 0), *cubes],
+        [(0, scenes.placed((0, 0, 0), 80.0), 0), *row],
         [material(), material(base_color=0.02)],
         CAMERA,
         sun((1, 0, 1)),
         size=SIZE,
         limits=DIFFUSE,
     )
+
+
+@pytest.mark.parametrize("first", [0, 4], ids=["step by step", "at once"])
+def test_it_stops_where_the_budget_may_break_and_goes_on_for_other_tiles(first: int) -> None:
+    """Cubes that stand apart: one may not go, all behind it in the sequence, or beside it in a first set, may."""
+    scene = cubes({-3.0: 0.04, -1.5: 0.04, 0.0: 0.8, 1.5: 0.04, 3.0: 0.04})
     loop = Loop(scene, CullOptions(width=SIZE[0]))
     n = len(scene.instances)
     order = [4, 3, 1, 2]  # instance 3 is the large one
@@ -208,16 +212,7 @@ def test_it_stops_where_the_budget_may_break_and_goes_on_for_other_tiles(first: 
 
 def test_a_doubt_is_looked_into_where_much_hangs_on_it() -> None:
     """The same sets, of which the last gains much, or next to nothing, on what is certified already."""
-    cubes = [(1, scenes.placed((x, 2, 0.4), 0.4), 1) for x in (-3.0, -1.0, 1.0, 3.0)]
-    scene = scenes.build(
-        [scenes.quad(), scenes.cube()],
-        [(0, scenes.placed((0, 0, 0), 80.0), 0), *cubes],
-        [material(), material(base_color=0.02)],
-        CAMERA,
-        sun((1, 0, 1)),
-        size=SIZE,
-        limits=DIFFUSE,
-    )
+    scene = cubes(dict.fromkeys((-3.0, -1.0, 1.0, 3.0), 0.4))
     n = len(scene.instances)
     sets = [np.isin(np.arange(n), range(1, 1 + k)) for k in range(1, 5)]
     change = max(np.abs(Judge(scene, 64).change(~cull).tiles).max() for cull in sets[1:2])
