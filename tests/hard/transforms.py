@@ -169,6 +169,6 @@ def many_at_one_place() -> Iterator[Figure]:
         changed(one, render(scene, 4).mean, 0.0),
         0.0,
     )
-    culled = analyze(scene, CullOptions(width=64))
+    culled = analyze(scene, CullOptions(width=32))
     figure = changed(one, render(scene, 4, culled.active).mean, 0.0)
     yield Figure("4,000 instances at one place, culled by light paths", "pixels that differ in any bit", figure, 0.0)
