@@ -170,12 +170,8 @@ class Obstacles:
             return MISSING
         if ob.library and self.keeps_linked:
             return NOT_KEPT
-        if ob.type == "META":
-            return METABALL
-        if self.references.carries_more(ob):
-            return MORE
-        if simulates(ob):
-            return SIMULATION
+        if why := self.hiding_does_more(ob):
+            return why
         if self.references.picked_by_particles(ob):
             return PICKED
         if instances_others(ob) and self.references.feeds(ob):
@@ -183,6 +179,14 @@ class Obstacles:
         if is_animated(ob, "hide_render"):
             return ANIMATED
         return self.any_change(ob)
+
+    def hiding_does_more(self, ob: bpy.types.Object) -> str | None:
+        """What else would vanish or change with an object, wherever it is hidden."""
+        if ob.type == "META":
+            return METABALL
+        if self.references.carries_more(ob):
+            return MORE
+        return SIMULATION if simulates(ob) else None
 
     def any_change(self, ob: bpy.types.Object) -> str | None:
         """Why nothing of an object may be changed, its modifiers included."""

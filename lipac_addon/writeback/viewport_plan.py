@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..keys import Keys, Kind
-from .plan import METABALL, MISSING, MORE, SIMULATION, UNBAKED, Columns, Mask, Obstacles, deletable_rows, hosts
-from .references import simulates
+from .plan import MISSING, UNBAKED, Columns, Mask, Obstacles, deletable_rows, hosts
 
 
 @dataclass(frozen=True)
@@ -68,10 +67,4 @@ class _Obstacles(Obstacles):
     def obstacle(self, ob: bpy.types.Object | None) -> str | None:
         if ob is None:
             return MISSING
-        if ob.type == "META":
-            return METABALL
-        if self.references.carries_more(ob):
-            return MORE
-        if simulates(ob):
-            return SIMULATION
-        return UNBAKED if self.references.holds_cache(ob) else None
+        return self.hiding_does_more(ob) or (UNBAKED if self.references.holds_cache(ob) else None)

@@ -6,9 +6,8 @@ import pytest
 
 from lipac.core.culling.options import State
 from lipac.lipac_addon.extract import extract_frame
-from lipac.lipac_addon.keys import Kind
+from lipac.lipac_addon.keys import Kind, full_name
 from lipac.lipac_addon.writeback import apply, restore, viewport
-from lipac.lipac_addon.keys import full_name
 from lipac.lipac_addon.writeback.viewport_plan import candidates, viewport_plan
 from lipac.tests.lipac_addon.writeback.conftest import collection, empty, link, points, scatter, triangle
 
