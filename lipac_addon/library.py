@@ -120,8 +120,8 @@ def render(
     options: CullOptions | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Analyse frames and render each culled: pictures (frame_0001.exr and .png), states and report.json in the folder
-    `output`.
+    """Analyse frames and render each culled: pictures (frame_0001.exr and .png), states, report.json and, where what
+    makes pages is installed, report.html in the folder `output`.
 
     Parameters:
         scene, max_error, options, progress: as of `analyze`; arrays cannot be rendered to files.
@@ -136,6 +136,8 @@ def render(
     import bpy
 
     from ..core.files.report import Report, output_folder
+    from ..core.page.html import missing
+    from ..core.page.report_page import drop, write
     from .batch.engines.choices import ENGINES
     from .batch.job import Job
     from .batch.pipeline import run
@@ -148,7 +150,10 @@ def render(
     report = Report(
         bpy.data.filepath, bpy.app.version_string, __version__, wanted.policy, engine, wanted.seed, wanted.threads
     )
+    drop(folder)
     run(job, report, progress)
+    if not missing():
+        write(folder)
     return report
 
 

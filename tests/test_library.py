@@ -102,6 +102,7 @@ def test_render_writes_pictures_and_a_report(boxes_file: Path, tmp_path: Path) -
     assert (report.lipac, report.policy, report.engine) == (lipac.__version__, "light-paths", "cycles")
     assert np.isfinite(read_picture(tmp_path / "out" / "frame_0002.exr")).all()
     assert (tmp_path / "out" / "report.json").exists()
+    assert "<html" in (tmp_path / "out" / "report.html").read_text()
 
 
 @pytest.mark.slow

@@ -160,6 +160,10 @@ class LIPAC_PT_overlay(Child, bpy.types.Panel):
         for kind in KINDS:
             grid.prop(settings, f"show_{kind}", toggle=True)
         layout.prop(settings, "heat_map")
+        layout.label(text="Through the camera")
+        row = layout.row(align=True)
+        row.prop(settings, "show_tiles", toggle=True)
+        row.prop(settings, "show_memory", toggle=True)
         layout.prop(settings, "opacity", slider=True)
         layout.prop(settings, "in_front")
         layout.prop(settings, "freeze")

@@ -22,6 +22,8 @@ EYE, TARGET = (-150.0, -250.0, 210.0), (10.0, -25.0, 0.0)
 FOCAL = 1.6  # distance to width of the view
 STRIP = (480, 270)  # size of a picture in a row of several
 ROUNDS = (4, 9)  # of live mode that are shown, before the one at rest
+VIEWPORT_SAMPLES, DRAWS = 4, 4  # of EEVEE in the viewport, and how often it is drawn at most
+VIEWPORT = (320, 180)
 RENDER = (320, 180, 16)  # width, height, samples
 
 
@@ -34,17 +36,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     args.output.mkdir(parents=True, exist_ok=True)
     import bpy
-    from matplotlib.image import imsave
 
     from ... import register
     from ...lipac_addon.demo import mirror_city
     from ...lipac_addon.ui.draw import figures
     from ...lipac_addon.ui.state import results
+    from ..studies.pictures.strips import save
 
     register()
     mirror_city.build(args.instances, 0)
     scene = bpy.context.scene
-    imsave(args.output / "live.png", live_picture()[::-1])
+    save(live_picture(), args.output / "live.jpg")
+    save(viewport_picture(), args.output / "viewport.jpg")
     bpy.ops.lipac.analyze()
     result = results.at(scene)
     if result is None:
@@ -52,22 +55,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     for label, text in figures.rows_of(result):
         print(f"{label}: {text}")
     width, height = args.size
-    imsave(args.output / "overlay.png", overlay_picture(result, width, height)[::-1])
-    imsave(args.output / "heat.png", overlay_picture(result, width, height, ("active", "culled"), heat_map=True)[::-1])
+    save(overlay_picture(result, width, height)[::-1], args.output / "overlay.jpg")
+    hot = overlay_picture(result, width, height, ("active", "culled"), heat_map=True)
+    save(hot[::-1], args.output / "heat.jpg")
+    save(tiles_picture(result, width)[::-1], args.output / "tiles.jpg")
     scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples = RENDER
     bpy.ops.lipac.difference()
     for label, text in figures.rows_of_difference(results.differences[scene.session_uid, scene.frame_current]):
         print(f"{label}: {text}")
-    imsave(args.output / "difference.png", difference_picture()[::-1])
+    save(difference_picture(), args.output / "difference.jpg")
     return 0
 
 
 def live_picture() -> np.ndarray:
-    """Live mode from its start to its rest, three pictures in a row."""
+    """Live mode from its start to its rest, three pictures in a row, from the top."""
     import bpy
 
     from ...lipac_addon.ui.jobs import live
     from ...lipac_addon.ui.state import results
+    from ..studies.pictures.strips import strip
 
     uid, pictures = bpy.context.scene.session_uid, []
     bpy.ops.lipac.live()
@@ -79,15 +85,130 @@ def live_picture() -> np.ndarray:
         time.sleep(0.005)
     pictures.append(overlay_picture(results.live[uid], *STRIP))
     bpy.ops.lipac.live()
-    return np.concatenate(pictures, axis=1)
+    labels = *(f"round {k}" for k in ROUNDS), "at rest"
+    return strip([picture[::-1] for picture in pictures], labels)
+
+
+def viewport_picture() -> np.ndarray:
+    """What the viewport has, in full and with Cull Viewport: through the camera by EEVEE, and from outside; rows from
+    the top."""
+    import bpy
+
+    from ...lipac_addon.ui.jobs import live
+    from ..studies.pictures.strips import strip
+    from ..studies.viewport.clock import Clock, look, settle
+
+    scene, shown = bpy.context.scene, []
+    scene.render.resolution_x, scene.render.resolution_y = VIEWPORT
+    look()
+    for culled in (False, True):
+        scene.lipac.cull_viewport = culled
+        with Clock() as clock:
+            if culled:
+                live.start()
+                settle(clock)
+            shown.append((through_the_camera(*VIEWPORT), solid_picture(*VIEWPORT)))
+            if culled:
+                print(f"Cull Viewport: {live.current.culling.message if live.current else ''}")
+                live.stop()
+    scene.lipac.cull_viewport = False
+    rows = [
+        strip([full[::-1], culled[::-1]], [f"{where}: everything", f"{where}: Cull Viewport"])
+        for where, full, culled in zip(("through the camera", "from outside"), *shown, strict=True)
+    ]
+    return np.concatenate(rows)
+
+
+def through_the_camera(width: int, height: int) -> np.ndarray:
+    """The viewport in Rendered shading by EEVEE: (height, width, 3) uint8, rows bottom up; drawn until all shaders are
+    there."""
+    import bpy
+
+    scene, last = bpy.context.scene, np.zeros(0, np.uint8)
+    camera, engine, samples = scene.camera, scene.render.engine, scene.eevee.taa_samples
+    scene.render.engine, scene.eevee.taa_samples = "BLENDER_EEVEE", VIEWPORT_SAMPLES
+    try:
+        for _ in range(DRAWS):
+            layer = bpy.context.view_layer
+            layer.update()
+            view = camera.evaluated_get(layer.depsgraph).matrix_world.inverted()
+            now = drawn(width, height, view, camera.calc_matrix_camera(layer.depsgraph, x=width, y=height), "RENDERED")
+            if now.any() and np.array_equal(now, last):
+                break
+            last = now
+            time.sleep(0.2)
+    finally:
+        scene.render.engine, scene.eevee.taa_samples = engine, samples
+    return last
+
+
+def solid_picture(width: int, height: int) -> np.ndarray:
+    """The viewport in Solid shading from outside: (height, width, 3) uint8, rows bottom up."""
+    return drawn(width, height, *outside(width / height), "SOLID")
+
+
+def drawn(width: int, height: int, view: Any, projection: Any, shading: str) -> np.ndarray:
+    """The viewport, drawn into memory by Blender: (height, width, 3) uint8, rows bottom up."""
+    import bpy
+    import gpu
+
+    gpu.init()
+    area = next(a for window in bpy.context.window_manager.windows for a in window.screen.areas if a.type == "VIEW_3D")
+    space, region = area.spaces.active, next(r for r in area.regions if r.type == "WINDOW")
+    before = space.shading.type
+    space.shading.type, space.overlay.show_overlays, space.clip_end = shading, False, 3000.0
+    offscreen = gpu.types.GPUOffScreen(width, height, format="RGBA8")
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    offscreen.draw_view3d(scene, layer, space, region, view, projection, do_color_management=True)
+    with offscreen.bind():
+        pixels = gpu.state.active_framebuffer_get().read_color(0, 0, width, height, 4, 0, "UBYTE").to_list()
+    offscreen.free()
+    space.shading.type = before
+    return np.ascontiguousarray(np.array(pixels, np.uint8).reshape(height, width, 4)[:, :, :3])
+
+
+def tiles_picture(result: FrameResult, width: int) -> np.ndarray:
+    """The camera's view in Solid shading, with the worst tiles and the list of memory: (H, width, 3) uint8, rows bottom
+    up."""
+    import bpy
+    import gpu
+    from gpu_extras.presets import draw_texture_2d
+    from mathutils import Matrix
+
+    from ...lipac_addon.ui.draw import picture
+
+    height, scene = round(width * 9 / 16), bpy.context.scene
+    layer = bpy.context.view_layer
+    view = scene.camera.evaluated_get(layer.depsgraph).matrix_world.inverted()
+    under = drawn(width, height, view, scene.camera.calc_matrix_camera(layer.depsgraph, x=width, y=height), "SOLID")
+    light = np.ones((height, width, 4), np.float32)
+    light[..., :3] = under / 255
+    data = gpu.types.Buffer("FLOAT", light.size, light.ravel())
+    ground = gpu.types.GPUTexture((width, height), format="RGBA32F", data=data)
+    offscreen = gpu.types.GPUOffScreen(width, height, format="RGBA8")
+    with offscreen.bind(), gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+        frame = gpu.state.active_framebuffer_get()
+        frame.clear(color=(0, 0, 0, 1))
+        gpu.matrix.load_matrix(Matrix.Identity(4))
+        flat = ((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, -1, 0), (0, 0, 0, 1))
+        gpu.matrix.load_projection_matrix(Matrix(flat))
+        draw_texture_2d(ground, (0, 0), width, height)
+        if result.tiles is not None:
+            picture.draw_tiles(result.tiles, (0, 0, width, height), width / 960)
+        picture.draw_takers(picture.takers(result), width - 10, height - 10, width / 960)
+        pixels = np.array(frame.read_color(0, 0, width, height, 4, 0, "UBYTE").to_list(), np.uint8)
+    offscreen.free()
+    return np.ascontiguousarray(pixels.reshape(height, width, 4)[:, :, :3])
 
 
 def difference_picture() -> np.ndarray:
-    """The frame in full and culled, as displayed, and the image that Render Difference left, four times as bright."""
+    """The frame in full and culled, as displayed, and the image that Render Difference left, so bright that the largest
+    difference but for one pixel in a thousand is white; rows from the top."""
     import bpy
 
     from ...lipac_addon.pictures import read_picture
     from ...lipac_addon.ui.jobs.difference import IMAGE
+    from ..studies.pictures.strips import strip
 
     scene, pictures = bpy.context.scene, []
     for culled in (False, True):
@@ -99,8 +220,12 @@ def difference_picture() -> np.ndarray:
     image = bpy.data.images[IMAGE]
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
-    shown = np.clip(4 * pixels.reshape(*pictures[0].shape[:2], 4)[:, :, :3], 0, 1) ** (1 / 2.2)
-    return np.concatenate([*pictures, np.rint(255 * shown).astype(np.uint8)], axis=1)
+    difference = pixels.reshape(*pictures[0].shape[:2], 4)[:, :, :3]
+    times = 1 / max(float(np.quantile(difference, 0.999)), 1e-6)
+    shown = np.rint(255 * np.clip(times * difference, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    scene.lipac.use_for_renders = False
+    labels = "everything", "culled", f"their difference, {times:.2g} times as bright"
+    return strip([picture[::-1] for picture in (*pictures, shown)], labels)
 
 
 def overlay_picture(

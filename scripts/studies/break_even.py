@@ -69,9 +69,9 @@ def measured(work: Path, instances: int, samples: int, repeats: int) -> dict[str
     runs: dict[str, list[Figures]] = {FULL: [], CULLED: []}
     for _ in range(repeats):
         for way, several in runs.items():
-            before = _processor_seconds()
+            before = processor_seconds()
             report = compare.render(scene, place, way, options)
-            seconds = {"command": report["process_s"], "processor": _processor_seconds() - before}
+            seconds = {"command": report["process_s"], "processor": processor_seconds() - before}
             active = report["frames"][0]["active"]
             several.append({**seconds, "bytes": report["totals"]["peak_bytes"], "active": active})
     least = {way: {name: min(run[name] for run in several) for name in several[0]} for way, several in runs.items()}
@@ -79,7 +79,7 @@ def measured(work: Path, instances: int, samples: int, repeats: int) -> dict[str
     return least
 
 
-def _processor_seconds() -> float:
+def processor_seconds() -> float:
     """Of all processes that were started from here and have ended."""
     times = os.times()
     return times.children_user + times.children_system

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ...core.errors import InputError
 from ...core.files.report import size
 from ...core.threads import processors
 
@@ -75,7 +76,8 @@ def flip_picture(folder: Path) -> Any:
 
 
 def tlas_of(scene: Path, states: Path, frame: int, size: tuple[int, int] = (960, 540)) -> Any:
-    """The picture of the TLAS for the states that a command saved: (H, W, 3) uint8; size: W and H."""
+    """The picture of the TLAS for the states that a command saved: (H, W, 3) uint8; size: W and H. Raises InputError
+    where these are of another scene."""
     import bpy
     import numpy as np
 
@@ -88,6 +90,8 @@ def tlas_of(scene: Path, states: Path, frame: int, size: tuple[int, int] = (960,
     frozen = extract_frame(bpy.context.scene, frame).scene
     with np.load(states) as data:
         active, boxes = data["state"] == State.ACTIVE, (data["boxes"] - frozen.origin).astype(np.float32)
+    if len(active) != len(frozen.instances):
+        raise InputError(f"{scene} has {len(frozen.instances):,} instances, and {states} is of {len(active):,}")
     return tlas_picture(frozen, active, boxes, size)
 
 

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +15,7 @@ from lipac.page import html
 from lipac.scripts.command.page import leave, leaving
 from lipac.scripts.lipac import main
 
+from ..lipac_addon.conftest import boxes  # noqa: F401 (a fixture)
 from ..page.folder import Page, frame, rendered
 
 
@@ -72,3 +74,25 @@ def test_where_libraries_are_missing_a_line_says_so(
     assert said.count("\n") == 1 and "no_such_library" in said and f"lipac report {tmp_path}" in said
     assert not (tmp_path / "report.html").exists()
     assert main(["report", str(tmp_path)]) == 2
+
+
+@pytest.mark.blender
+def test_the_scene_from_outside(boxes: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:  # noqa: F811
+    """Drawn by the states of the folder, and shown on the page; not of another scene."""
+    import bpy
+
+    scene, out = tmp_path / "boxes.blend", tmp_path / "out"
+    bpy.ops.wm.save_as_mainfile(filepath=str(scene), copy=True)
+    assert main(["analyze", str(scene), "-o", str(out), "--cull", "distance", "--quiet"]) == 0
+    assert main(["report", str(out)]) == 0
+    assert "from outside" not in (out / "report.html").read_text()
+    assert main(["report", str(out), "--outside", str(scene)]) == 0
+    assert (out / "tlas.png").stat().st_size > 1000
+    assert "from outside" in (out / "report.html").read_text()
+    bpy.ops.wm.open_mainfile(filepath=str(scene))
+    bpy.data.objects.remove(next(ob for ob in bpy.data.objects if ob.type == "MESH"))
+    other = tmp_path / "other.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(other), copy=True)
+    capfd.readouterr()
+    assert main(["report", str(out), "--outside", str(other)]) == 2
+    assert "instances, and" in capfd.readouterr().err

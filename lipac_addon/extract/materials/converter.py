@@ -6,13 +6,16 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from ....core.arrays import Records
 from ....core.scene.model import Shader, default_material
 from .reader import MEAN, Reader, Value, grey
 from .textures import TextureTable
-from .trees import Tree, black, clear, mixed, unsure
+from .trees import UNKNOWN, Tree, black, clear, mixed, spread, unsure
 
 HALF = grey(0.5)
+FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding
 
 
 class Converter:
@@ -27,6 +30,7 @@ class Converter:
         self.report = report
         self.reader = reader
         self.shaders = shaders
+        self._spread = 0.0  # roughness that stands for normals of the node that is converted which are not followed
 
     def output(self, node: Any) -> Tree:
         """What an output node shows."""
@@ -49,7 +53,11 @@ class Converter:
             return None
         node = socket.links[0].from_node
         function = getattr(self.shaders, f"node_{node.type.lower()}", None)
+        outer, self._spread = self._spread, 0.0
         tree: Tree | None = self.other(node) if function is None else function(self, node)
+        if self._spread and tree is not None:
+            tree = spread(tree, self._spread)
+        self._spread = outer
         return tree
 
     # Filling a record
@@ -103,13 +111,28 @@ class Converter:
         source = socket.links[0].from_node
         if source.type != "NORMAL_MAP" or source.space != "TANGENT":
             if source.type not in {"NEW_GEOMETRY", "TEX_COORD"}:
-                self.report(f"{source.bl_label} node on Normal not rendered")
+                self.report(f"{source.bl_label} node on Normal not rendered: half of what is reflected is spread")
+                self._spread = UNKNOWN
             return
         value = self.reader.image(self.reader.value(source.inputs["Color"]))
         if value.use is None:
             return
+        roughness = self._lost(value)
+        if roughness > FINE:
+            self.report("normal map looked at with fewer pixels: half of what is reflected is spread")
+            self._spread = roughness
         record["normal_texture"] = self.textures.index(value.use)
         record["normal_strength"] = self.reader.constant(source.inputs["Strength"], "normal strength")[0]
+
+    def _lost(self, value: Value) -> float:
+        """Roughness that stands for what a map of normals has lost by being reduced: the shorter the mean of unit
+        vectors, the more they differ (Toksvig, "Mipmapping Normal Maps", 2005); GGX's alpha is the root of twice the
+        variance of slopes, and Blender's roughness the root of that."""
+        if value.use is None or not self.textures.sources[value.use.source].reduced:
+            return 0.0
+        normals = 2 * self.textures.linear(value.use)[..., :3] - 1
+        length = min(max(float(np.linalg.norm(normals, axis=2).mean()), 1e-3), 1.0)
+        return min(float(2 * (1 - length) / length) ** 0.25, 1.0)
 
     def plain(self, node: Any, shader: Shader) -> Records:
         """A BSDF node with Color, and perhaps Roughness, IOR and Normal."""

@@ -41,12 +41,13 @@ class ImageUse:
 @dataclass
 class Pixels:
     """(H, W, 4) uint8 or float32, rows bottom up; srgb: encoded; lines: what Blender shows differently; exact: False
-    where it may show another picture."""
+    where it may show another picture; reduced: each is the mean of several of the image's."""
 
     data: U8 | F32
     srgb: bool
     lines: tuple[str, ...] = ()
     exact: bool = True
+    reduced: bool = False
 
 
 def _magenta(line: str) -> Pixels:
@@ -124,7 +125,7 @@ class TextureTable:
         alpha = Alpha.IGNORED if image.alpha_mode == "NONE" else alpha
         srgb = not image.is_float and space not in LINEAR
         data = texels(self._values(image), height, width, alpha, image.is_float, srgb)
-        return Pixels(data, srgb, tuple(lines), exact)
+        return Pixels(data, srgb, tuple(lines), exact, reduced=data.shape[:2] != (height, width))
 
     def add(self, data: F32) -> int:
         """Index of pixels made here, the same for the same ones: (H, W, 4) float32, linear."""

@@ -10,6 +10,8 @@ import numpy as np
 from ....core.arrays import Records
 from ....core.scene.model import Shader, default_material
 
+UNKNOWN = 0.5  # roughness that stands for bumps: it spreads what is reflected over some 30 degrees
+
 
 @dataclass(frozen=True)
 class Composed:
@@ -59,6 +61,24 @@ def mixed(first: Tree, second: Tree) -> Composed:
     head = default_material()
     head["shader"], head["alpha"] = Shader.MIX, 0.5
     return Composed(head, first, second)
+
+
+def spread(tree: Tree, roughness: float) -> Tree:
+    """The material, where its normals turn by what is not followed: half as it is, half as if it were so rough, so that
+    both what a smooth surface reflects and what is around it is seen. What is as rough anyway stays as it is."""
+    rough = copied(tree)
+    for leaf in leaves(rough):
+        leaf["roughness"], leaf["roughness_texture"] = max(float(leaf["roughness"]), roughness), -1
+        if leaf["coat"] > 0:
+            leaf["coat_roughness"] = max(float(leaf["coat_roughness"]), roughness)
+    return tree if key_of(rough) == key_of(tree) else mixed(tree, rough)
+
+
+def copied(tree: Tree) -> Tree:
+    """The same material, to be changed."""
+    if isinstance(tree, Composed):
+        return Composed(tree.head.copy(), copied(tree.first), copied(tree.second))
+    return tree.copy()
 
 
 def black() -> Records:

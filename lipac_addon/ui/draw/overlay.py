@@ -18,6 +18,7 @@ from mathutils import Matrix
 
 from ..state import results
 from ..state.results import FrameResult
+from . import picture
 from .boxes import CORNERS, EDGES, HEAT, KINDS, ROW, STATES, Boxes, boxes_of, color_of
 
 _VERTEX = """
@@ -240,6 +241,7 @@ def _draw_pixels() -> None:
     result, settings = _wanted(context), context.scene.lipac
     if result is not None:
         draw_legend(result, shown(settings), context.preferences.system.ui_scale, settings.heat_map)
+        picture.draw(context, result)
 
 
 def register() -> None:

@@ -136,6 +136,19 @@ class LipacSettings(bpy.types.PropertyGroup):
         ),
         update=_redraw,
     )
+    show_tiles: BoolProperty(  # type: ignore[valid-type]
+        name="Worst Tiles",
+        description=(
+            "In the view through the camera: by how much each of the picture's 16 x 9 tiles changes at most, the "
+            "brightest the most, and the figures of the worst"
+        ),
+        update=_redraw,
+    )
+    show_memory: BoolProperty(  # type: ignore[valid-type]
+        name="Memory List",
+        description="In the view through the camera: which objects and images take how much memory of a render",
+        update=_redraw,
+    )
     opacity: FloatProperty(  # type: ignore[valid-type]
         name="Opacity",
         description="Opacity of the boxes",

@@ -48,6 +48,7 @@ class FrameResult:
     boxes, `origin` (3,) float64 to be added. stats: figures as in report.json. warnings: lines for the user. Of objects
     that instance by geometry nodes, by their uids: scatters, (R, 3) float32, where their rows are, in their own space;
     prints: digests of what the viewport showed of them. memory: who takes the memory of a render, as of memory.csv.
+    tiles: (TILES,) float32, by how much each tile of the picture changes at most, where that is certified.
     """
 
     frame: int
@@ -64,6 +65,7 @@ class FrameResult:
     scatters: dict[int, F32] = field(default_factory=dict)
     prints: dict[int, bytes] = field(default_factory=dict)
     memory: tuple[MemoryRow, ...] = ()
+    tiles: F32 | None = None
     _reasons: dict[str, Reason] = field(default_factory=dict)
 
     @staticmethod
@@ -84,7 +86,7 @@ class FrameResult:
         }
         return FrameResult(
             frame, keys, uids, state, result.score, result.hits, bounds, result.boxes, scene.origin, stats, lines,
-            scatters
+            scatters, tiles=getattr(result, "tiles", None)
         )
 
     @property

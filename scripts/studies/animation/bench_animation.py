@@ -19,6 +19,7 @@ from ....core.evaluation.judge import TWO_SIDED_95, Judge
 from ....core.scene.change import Change
 from ....core.scene.model import Scene
 from .. import compare
+from ..pictures.strips import save, strip
 from ..supplied import SUPPLIED
 from .footage import Footage, demo
 
@@ -30,6 +31,7 @@ GROWTH_SIZE, GROWTH_FRAMES = (320, 180), range(1, 11)
 REST_FRAMES, MEMORY_FRAMES = 200, 500
 REST_SIZE = (160, 90)
 PICTURE_SIZE = (640, 360)
+DEMO_LABELS = ("as it is rendered when culled", "what is kept for that, from outside")
 LOOSE = CullOptions(max_error=Budget(0.02, 0.2))  # of few paths, for many frames
 CAMERA_ONLY = Change(None, None, np.zeros(0, np.int32), np.zeros(0, np.int32), shading=False, camera=True)
 
@@ -221,10 +223,8 @@ def _resident() -> int:
 
 
 def pictures(folder: Path) -> dict[str, Any]:
-    """A picture of either demo as culled, by Cycles, and its TLAS from above: folder/crowd.png,
-    folder/flythrough.png."""
-    from matplotlib.image import imsave
-
+    """A picture of either demo as culled, by Cycles, and its TLAS from above: folder/crowd.jpg,
+    folder/flythrough.jpg."""
     from ....core.files.atomic import replacing
 
     for name, count, frame in (("crowd", FIGURES, 24), ("flythrough", 20_000, 84)):
@@ -234,6 +234,6 @@ def pictures(folder: Path) -> dict[str, Any]:
         compare.lipac("render", scene, "-o", out, *where, "--samples", "32")
         shown = compare.pictures(folder, out.name)[1][..., :3]
         tlas = compare.tlas_of(scene, out / "states" / f"frame_{frame:04}.npz", frame, PICTURE_SIZE)
-        with replacing(folder / f"{name}.png") as part:
-            imsave(part, np.concatenate([(np.clip(shown, 0, 1) * 255 + 0.5).astype(np.uint8), tlas], axis=1))
+        with replacing(folder / f"{name}.jpg") as part:
+            save(strip([(np.clip(shown, 0, 1) * 255 + 0.5).astype(np.uint8), tlas], DEMO_LABELS), part)
     return {}

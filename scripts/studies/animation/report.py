@@ -58,9 +58,9 @@ def _demos(folder: Path, results: dict[str, Part]) -> list[str]:
         return []
     lines = []
     for name in ("crowd", "flythrough"):
-        shutil.copyfile(folder / f"{name}.png", folder / PICTURES / f"{name}.png")
+        shutil.copyfile(folder / f"{name}.jpg", folder / PICTURES / f"{name}.jpg")
         lines.append(
-            f"![{name}: as it is rendered when culled, and what of it is kept for that]({PICTURES}/{name}.png)"
+            f"![{name}: as it is rendered when culled, and what of it is kept for that]({PICTURES}/{name}.jpg)"
         )
     text = (
         "`crowd` and `flythrough` (`lipac demo`): culled, by Cycles, and what is kept for that, seen from "

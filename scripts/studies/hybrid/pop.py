@@ -28,6 +28,7 @@ from ....core.files.atomic import replacing
 from ....core.scene.film import LUMINANCE
 from ..evaluate_report import shown
 from ..machine import made_by
+from ..pictures.strips import strip
 from .report import pictures_folder, pop, write_page
 
 FRAMES = 9
@@ -73,7 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         part.write_text(json.dumps(figures, indent=1) + "\n")
     changes = [k for k in range(1, FRAMES) if result.kept[k] != result.kept[k - 1]]
     rows = [k for change in changes[:1] for k in (change - 1, change)]
-    seen = np.concatenate([np.repeat(np.repeat(shown(result.pictures[k]), 2, 0), 2, 1) for k in rows])
+    labels = "everything", *(f"shadow of what is culled: {name}" for name in FALLBACKS)
+    large = [np.repeat(np.repeat(shown(result.pictures[k]), 2, 0), 2, 1) for k in rows]
+    seen = np.concatenate([strip(np.split(row, len(labels), axis=1), labels) for row in large])
     imsave(pictures_folder(args.output) / "hybrid-pop.png", seen)
     write_page(args.output)
     print(pop(figures))

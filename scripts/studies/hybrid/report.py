@@ -72,8 +72,9 @@ def pictures_folder(output: Path) -> Path:
 def plot(costs: dict[str, list[Row]], path: Path) -> None:
     """Error against time."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    figure = Figure(figsize=(5.5 * len(costs), 4), layout="constrained")
+    figure = Figure(figsize=(4.6 * len(costs), 4.6), layout="constrained")
     for axes, (name, rows) in zip(np.atleast_1d(figure.subplots(1, len(costs))), costs.items(), strict=True):
         for way, style in ((TRUTH, "k.-"), (WHOLE, "s-"), (CULLED, "o-")):
             own = [r for r in rows if r["way"] == way]
@@ -96,7 +97,12 @@ def plot(costs: dict[str, list[Row]], path: Path) -> None:
             title=name,
         )
         axes.grid(alpha=0.3, which="both")
-    figure.axes[0].legend(fontsize=7)
+        for axis in (axes.xaxis, axes.yaxis):  # of the numbers between powers of ten those that do not meet
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_formatter(NullFormatter())
+    lines, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(lines, names, loc="outside lower center", ncols=len(names), fontsize=8)
     with replacing(path) as part:
         figure.savefig(part, dpi=80)
 
@@ -139,7 +145,7 @@ def results(measured: dict[str, Any]) -> str:
     lines += ["relMSE of the linear pictures:", "", markdown([(*head, RAW), *linear]), ""]
     lines += mixtures(measured["scenes"])
     lines += [f"From left to right {', '.join(SHOWN)}:", ""]
-    lines += [f"![{name}](pictures/hybrid-{name}.png)" for name in measured["scenes"]]
+    lines += [f"![{name}](pictures/hybrid-{name}.jpg)" for name in measured["scenes"]]
     if measured["cost"]:
         lines += ["", "### Cost", "", "Seconds of a frame by stage (they overlap, on two threads), and error:", ""]
         for name, rows in measured["cost"].items():

@@ -28,6 +28,7 @@ from ....core.files.atomic import replacing
 from ....core.files.digest import digest
 from ..compare import lipac, pictures
 from ..machine import made_by
+from ..pictures.strips import save, strip
 from ..supplied import SUPPLIED
 from . import report
 from .report import (
@@ -179,13 +180,11 @@ def frame_of(folder: Path) -> Row:
 def compare(name: str, scene: Path, args: argparse.Namespace) -> Row:
     """A scene in all ways: error of each against the truth, FLIP of what is displayed and relMSE of what is linear, and
     what the culled one keeps."""
-    from matplotlib.image import imsave
-
     samples = {TRUTH: args.truth, RASTER: args.raster_samples}
     folders = {way: render(name, scene, way, samples.get(way, args.samples), args) for way in WAYS}
     seen = {way: pictures(folder.parent, folder.name) for way, folder in folders.items()}
-    row = np.concatenate([np.clip(seen[way][1][..., :3], 0, 1) for way in SHOWN], axis=1)
-    imsave(pictures_folder(args.output) / f"hybrid-{name}.png", row)
+    shown = [np.rint(255 * np.clip(seen[way][1][..., :3], 0, 1)).astype(np.uint8) for way in SHOWN]
+    save(strip(shown, SHOWN), pictures_folder(args.output) / f"hybrid-{name}.jpg")
     whole, culled = frame_of(folders[WHOLE]), frame_of(folders[CULLED])
     linear = {way: seen[way][0] for way in folders} | {RAW: not_denoised(folders[WHOLE])}
     return {

@@ -134,6 +134,29 @@ def test_principled_extras_are_reported() -> None:
     ]
 
 
+@pytest.mark.parametrize("kind", ["ShaderNodeBsdfPrincipled", "ShaderNodeBsdfAnisotropic", "ShaderNodeBsdfGlass"])
+def test_bumps_spread_half_of_what_is_reflected(kind: str) -> None:
+    """How much normals turn is not known: half of the material is as it is, half is rough; once, in a mix of shaders
+    too."""
+    t = Tree()
+    bump = t.new("ShaderNodeBump")
+    shader = t.new(kind, {"Roughness": 0.05, "Normal": bump.outputs[0]})
+    mix = t.new("ShaderNodeMixShader", {0: 0.25, 1: t.new("ShaderNodeBsdfDiffuse").outputs[0], 2: shader.outputs[0]})
+    records, _, lines = t.parts(mix)
+    assert lines == ["material m: Bump node on Normal not rendered: half of what is reflected is spread"]
+    mixes = records[records["shader"] == Shader.MIX]
+    assert sorted(mixes["alpha"].tolist()) == [0.25, 0.5]
+    sharp = records[(records["shader"] != Shader.MIX) & (records["shader"] != Shader.DIFFUSE)]
+    assert sorted(sharp["roughness"].tolist()) == pytest.approx([0.05, 0.5])
+
+
+def test_bumps_of_what_is_rough_change_nothing() -> None:
+    for kind in ("ShaderNodeBsdfDiffuse", "ShaderNodeBsdfPrincipled"):
+        t = Tree()
+        record, _, _ = t.record(t.new(kind, {"Roughness": 0.7, "Normal": t.new("ShaderNodeBump").outputs[0]}))
+        assert record["shader"] != Shader.MIX
+
+
 @pytest.mark.parametrize(
     ("kind", "shader"),
     [
@@ -520,3 +543,26 @@ def test_an_output_for_cycles_counts_though_another_is_active() -> None:
     table = MaterialTable(TextureTable(print))
     table.index(material)
     assert table.records[0]["base_color"].tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize(("side", "lean"), [(2048, 0.35), (2048, 0.0), (512, 0.35)])
+def test_normals_that_a_reduced_map_has_lost_spread_what_is_reflected(side: int, lean: float) -> None:
+    """Normals that lean by chance from pixel to pixel: twice as many as are looked at become smooth, and the roughness
+    that stands for them is that of their slopes (alpha the root of twice the variance, 0.35 ** 2 / 3). A map that is
+    looked at as it is, or is smooth, changes nothing."""
+    slopes = np.random.default_rng(0).uniform(-lean, lean, (side, side, 2))
+    pixels = np.ones((side, side, 4), np.float32)
+    pixels[..., :2] = 0.5 * slopes + 0.5
+    pixels[..., 2] = 0.5 * np.sqrt(1 - (slopes**2).sum(axis=2)) + 0.5
+    t = Tree()
+    texture = t.new("ShaderNodeTexImage", image=image(pixels, data=True, floats=True))
+    normal = t.new("ShaderNodeNormalMap", {"Color": texture.outputs[0]})
+    records, _, lines = t.parts(t.new("ShaderNodeBsdfAnisotropic", {"Roughness": 0.05, "Normal": normal.outputs[0]}))
+    if side <= 1024 or not lean:
+        assert len(records) == 1 and not lines
+        return
+    assert lines == ["material m: normal map looked at with fewer pixels: half of what is reflected is spread"]
+    mean_of_four = 3 / 4  # of the variance is within the boxes of 2 x 2 pixels that are averaged
+    expected = (2 * mean_of_four * 0.35**2 / 3) ** 0.25
+    assert sorted(records["roughness"].tolist())[-1] == pytest.approx(expected, rel=0.1)
+    assert (records["normal_texture"] >= 0).sum() == 2

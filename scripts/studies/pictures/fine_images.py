@@ -1,6 +1,6 @@
 """Images of more pixels than an analysis looks at, judged by Cycles.
 
-`python -m lipac.scripts.studies.fine_images -o DIR`.
+`python -m lipac.scripts.studies.pictures.fine_images -o DIR`.
 
 An analysis reduces images to 1,024 pixels a side (`core/scene/images.py`). Each scene here depends on detail that is
 lost by that: light of single pixels of a map of emission, things seen through holes of single pixels, and a mirror
@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .compare import markdown
-from .machine import stamp
+from ..compare import markdown
+from ..machine import stamp
 
 SIZES = (1024, 4096, 8192)
 OPTIONS = ("--resolution", "320x180", "--samples", "128", "--verify", "12", "--quiet")
@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             status = _rendered(folder)
             frame = json.loads((folder / "report.json").read_text())["frames"][0]
             rows.append((name, f"{side:,} x {side:,}", *row_of(frame), f"{status}"))
-    text = f"{stamp('python -m lipac.scripts.studies.fine_images')}\n\n{markdown(rows)}\n"
+    text = f"{stamp('python -m lipac.scripts.studies.pictures.fine_images')}\n\n{markdown(rows)}\n"
     (args.output / "fine_images.md").write_text(text)
     print(text)
     return 0
@@ -76,7 +76,7 @@ def built(name: str, side: int, folder: Path) -> None:
     """The file of a scene whose image has so many pixels a side: scene.blend, and the image beside it."""
     import bpy
 
-    from ...lipac_addon.console import muted
+    from ....lipac_addon.console import muted
 
     with muted():
         bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -85,7 +85,7 @@ def built(name: str, side: int, folder: Path) -> None:
 
 
 def _image(values: NDArray[np.uint8], folder: Path, is_data: bool) -> Any:
-    """An image of the file's folder with these (H, W) grey values."""
+    """An image of the file's folder with these values, (H, W) grey or (H, W, 3)."""
     import bpy
     from PIL import Image
 
@@ -137,7 +137,7 @@ def _things(places: NDArray[np.float64], radius: float, glow: float) -> None:
     """A small ball at each of (N, 3) places, in a few colours."""
     import bpy
 
-    from ...lipac_addon.demo import builders
+    from ....lipac_addon.demo import builders
 
     meshes = []
     for k, color in enumerate(((0.9, 0.2, 0.1), (0.1, 0.8, 0.2), (0.2, 0.3, 0.9), (0.8, 0.8, 0.8))):
@@ -188,19 +188,34 @@ def bump(side: int, folder: Path) -> None:
     """A mirror whose bumps have the size of a pixel: it reflects glowing balls all around, a smooth one but those
     straight ahead."""
     values = np.random.default_rng(0).integers(0, 256, (side, side)).astype(np.uint8)
-    material, shader, color = _material("mirror", _image(values, folder, is_data=True))
-    links, node = material.node_tree.links, material.node_tree.nodes.new("ShaderNodeBump")
+    node = _mirror(_image(values, folder, is_data=True), "ShaderNodeBump", "Height")
     node.inputs["Distance"].default_value = 0.6 * 10.0 / side  # slopes of the same size, whatever that of a pixel
-    links.new(color, node.inputs["Height"])
+
+
+def _mirror(image: Any, kind: str, socket: str) -> Any:
+    """A wall that reflects, whose normals a node of a kind makes of an image, and glowing balls behind the camera;
+    returns the node."""
+    material, shader, color = _material("mirror", image)
+    links, node = material.node_tree.links, material.node_tree.nodes.new(kind)
+    links.new(color, node.inputs[socket])
     links.new(node.outputs["Normal"], shader.inputs["Normal"])
     shader.inputs["Metallic"].default_value, shader.inputs["Roughness"].default_value = 1.0, 0.02
     shader.inputs["Base Color"].default_value = (0.9, 0.9, 0.9, 1)
     _stage((0, -4, 0), 50)
     _wall(0.0, 5.0, material)
     _things(_scattered((-20, -30, -20), (20, -6, 20)), 0.5, 4.0)
+    return node
 
 
-SCENES: dict[str, Callable[[int, Path], None]] = {"emission": emission, "alpha": alpha, "bump": bump}
+def normal(side: int, folder: Path) -> None:
+    """The same mirror by a map of normals, each of which leans by half a radian at most."""
+    lean = np.random.default_rng(0).uniform(-0.35, 0.35, (side, side, 2)).astype(np.float32)
+    values = np.concatenate([lean, np.sqrt(1 - (lean**2).sum(axis=2, keepdims=True))], axis=2)
+    image = _image(np.round(127.5 * (values + 1)).astype(np.uint8), folder, is_data=True)
+    _mirror(image, "ShaderNodeNormalMap", "Color")
+
+
+SCENES: dict[str, Callable[[int, Path], None]] = {"emission": emission, "alpha": alpha, "bump": bump, "normal": normal}
 
 
 if __name__ == "__main__":
