@@ -136,8 +136,8 @@ def render(
     import bpy
 
     from ..core.files.report import Report, output_folder
-    from ..core.page.html import missing
-    from ..core.page.report_page import drop, write
+    from ..page.html import missing
+    from ..page.report_page import drop, write
     from .batch.engines.choices import ENGINES
     from .batch.job import Job
     from .batch.pipeline import run

@@ -45,8 +45,8 @@ def draw_outside(folder: Path, scene: Path) -> None:
     from ..core.errors import InputError
     from ..core.files.atomic import replacing
     from ..core.files.report import found_report
-    from ..core.page.report_page import shown_frame
     from ..lipac_addon.console import muted
+    from ..page.report_page import shown_frame
     from .studies.compare import tlas_of
 
     report = found_report(folder)
