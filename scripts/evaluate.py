@@ -248,11 +248,7 @@ def everything(args: argparse.Namespace, folder: Path) -> int:
         if status == 130:
             return status
         worst = max(worst, status)
-    text = report.results(folder)
-    page = folder.parent / "results.md"
-    head = page.read_text().split(report.MARK)[0] if page.exists() else "# Results\n\n"
-    page.write_text(f"{head}{report.MARK}\n\n{text}")
-    print(text)
+    print(report.write_results(folder))
     return worst
 
 

@@ -284,6 +284,15 @@ def ray_budget_table(rows: list[dict[str, Any]]) -> str:
     return markdown([head, *body])
 
 
+def write_results(folder: Path) -> str:
+    """Replace what results.md beside the folder has after MARK, or begin it; returns that part."""
+    text, page = results(folder), folder.parent / "results.md"
+    head = page.read_text().split(MARK)[0] if page.exists() else "# Results\n\n"
+    with replacing(page) as part:
+        part.write_text(f"{head}{MARK}\n\n{text}")
+    return text
+
+
 def results(folder: Path) -> str:
     """What results.md has after MARK: the table over all scenes in folder, whose evaluations are done."""
     summaries = [json.loads(path.read_text()) for path in sorted(folder.glob("*/evaluation.json"))]

@@ -11,7 +11,9 @@ from matplotlib.image import imread
 
 from lipac.core.evaluation import evaluate, oracle
 from lipac.scripts import lipac
+from lipac.scripts.studies import evaluate_report
 
+from ..docs.pages import ROOT
 from ..page.folder import Page
 
 
@@ -66,3 +68,24 @@ def test_bad_input_is_one_line(
     error = capfd.readouterr().err
     assert says in error
     assert error.count("\n") == 1
+
+
+def test_results_are_written_after_their_mark(tmp_path: Path) -> None:
+    """What is above it, which is by hand, stays; below it each scene's figures say which code they are of, or that
+    nobody knows. Twice is as once."""
+    for source in sorted((ROOT / "docs" / "results").glob("*/evaluation.json"))[:2]:
+        folder = tmp_path / "results" / source.parent.name
+        folder.mkdir(parents=True)
+        summary = json.loads(source.read_text())
+        if len(list((tmp_path / "results").iterdir())) == 2:
+            del summary["made_by"]
+        (folder / "evaluation.json").write_text(json.dumps(summary))
+    page = tmp_path / "results.md"
+    evaluate_report.write_results(tmp_path / "results")
+    assert page.read_text().startswith("# Results\n")
+    page.write_text(page.read_text().replace("# Results\n", "# Results\n\nBy hand.\n"))
+    written = [evaluate_report.write_results(tmp_path / "results") and page.read_text() for _ in range(2)]
+    assert written[0] == written[1]
+    flat = " ".join(written[0].split())
+    assert "By hand." in flat.split(evaluate_report.MARK)[0]
+    assert "Measured by LiPaC " in flat and "Measured by code that did not note its version: crowd." in flat

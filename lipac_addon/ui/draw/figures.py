@@ -28,6 +28,12 @@ def size(count: float) -> str:
     return f"{count:.1f} GiB"
 
 
+def change(mean: float, worst: float) -> str:
+    """A change of the picture, as short as fits beside its label."""
+    shown = (f"{100 * x:.{2 if x < 0.0995 else 1 if x < 0.995 else 0}f} %" for x in (mean, worst))
+    return ", worst ".join(shown)
+
+
 def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
     """The figures of a result as label and text."""
     stats = result.stats
@@ -45,7 +51,7 @@ def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
         ("unknown", "Light not known"),
     ):
         if name + "_mean" in stats:
-            rows.append((label, f"{100 * stats[name + '_mean']:.2f} %, worst {100 * stats[name + '_worst']:.2f} %"))
+            rows.append((label, change(stats[f"{name}_mean"], stats[f"{name}_worst"])))
     return rows
 
 
@@ -55,7 +61,7 @@ def rows_of_difference(found: results.Difference) -> list[tuple[str, str]]:
     return [
         ("Time saved", f"{full_s - culled_s:.1f} of {full_s:.1f} s"),
         ("Memory saved", f"{size(full_b - culled_b)} of {size(full_b)}"),
-        ("Change, rendered", f"{100 * found.mean:.2f} %, worst {100 * found.worst:.2f} %"),
+        ("Change, rendered", change(found.mean, found.worst)),
     ]
 
 
@@ -89,7 +95,7 @@ def rows_of_object(result: results.FrameResult, ob: bpy.types.Object) -> list[tu
         (f"{name.capitalize()} paths", f"{int(n):,}") for name, n in zip(results.RAYS, reason.paths, strict=True) if n
     ]
     if reason.worth > 0:
-        rows.append(("Worth at most", f"{100 * reason.worth:.3g} % of the picture"))
+        rows.append(("Worth at most", f"{100 * min(reason.worth, 1.0):.3g} % of the picture"))
     return rows
 
 

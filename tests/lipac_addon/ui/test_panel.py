@@ -145,6 +145,9 @@ def test_figures(analyzed):
     assert rows["Memory of the active"] == "3.5 MiB"
     assert rows["Change, predicted"] == "0.20 %, worst 1.00 %"
     assert rows["Change, at most"] == "0.40 %, worst 2.00 %"
+    for worst, text in ((0.1128, "11.3 %"), (2.4, "240 %"), (0.0995, "10.0 %")):  # in a line of the sidebar
+        assert figures.change(0.0126, worst) == f"1.26 %, worst {text}"
+        assert len(figures.lines(figures.change(0.0126, worst), figures.LONGEST // 2)) == 1
     assert [figures.size(n) for n in (0, 1023, 1024, 5 << 30)] == ["0 B", "1023 B", "1.0 KiB", "5.0 GiB"]
 
 

@@ -11,7 +11,8 @@ import pytest
 
 from lipac.scripts.studies import break_even, machine
 from lipac.version import __version__
-from tests.docs.pages import ROOT
+
+from ...docs.pages import ROOT
 
 STUDIES = {  # of a page, the module that writes it
     "accuracy": "scripts/dev/accuracy.py",
