@@ -7,9 +7,13 @@ from collections.abc import Iterable
 from typing import Any
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
+from ..keys import Keys, Kind
 from ..writeback.emptying import drop_kept
 from ..writeback.marks import EMPTIED, HIDDEN, MODIFIER, all_marks
+from ..writeback.plan import Obstacles
 
 # Kept by a fake user alone, these are nothing to a render
 _FAKE = (
@@ -31,19 +35,40 @@ def strip() -> int:
         for ob, words in all_marks().items()
         if HIDDEN in words and all(map(_of_itself, words)) and ob.library is None and ob.override_library is None
     }
-    picked = _used_collections()
-    users = bpy.data.user_map(subset=hidden) if hidden else {}
-    going = {ob for ob in hidden if not picked & set(ob.users_collection)}
-    while True:
-        staying = {ob for ob in going if not all(_lets_go(user, ob, going) for user in users[ob])}
-        if not staying:
-            break
-        going -= staying
+    going = _unused(hidden)
     bpy.data.batch_remove(going)
     drop_kept()
     _drop_fakes(_FAKE)
     bpy.data.orphans_purge(do_local_ids=True, do_linked_ids=True, do_recursive=True)
     return len(going)
+
+
+def drop_linked(culled: NDArray[np.bool_], keys: Keys) -> NDArray[np.bool_]:
+    """Remove from the open file directly linked objects of which all instances are culled, (N,) bool of `keys`, and
+    that nothing else uses: Blender would not save that they are hidden. Returns the instances that went, (N,) bool."""
+    obstacles = Obstacles(bpy.context.scene, lasting=False, in_render=False)
+    own = np.where(keys.records["kind"] == Kind.OBJECT, keys.records["object"], -1)
+    shown = np.zeros(len(keys.names) + 1, bool)  # the last is that of -1
+    for name in ("object", "host"):
+        shown[keys.records[name][~culled]] = True
+    found = {int(n): obstacles.found.get(keys.names[n]) for n in np.unique(own[culled]) if n >= 0 and not shown[n]}
+    linked = {ob: n for n, ob in found.items() if ob is not None and ob.library and obstacles.obstacle(ob) is None}
+    going = _unused(set(linked))
+    gone = np.isin(own, [linked[ob] for ob in going])
+    bpy.data.batch_remove(going)
+    return gone
+
+
+def _unused(objects: set[bpy.types.Object]) -> set[bpy.types.Object]:
+    """Those that the file does not use but for each other, and by collections that nothing shows or reads."""
+    picked = _used_collections()
+    users = bpy.data.user_map(subset=objects) if objects else {}
+    going = {ob for ob in objects if not picked & set(ob.users_collection)}
+    while True:
+        staying = {ob for ob in going if not all(_lets_go(user, ob, going) for user in users[ob])}
+        if not staying:
+            return going
+        going -= staying
 
 
 def _of_itself(word: str) -> bool:
@@ -54,7 +79,7 @@ def _of_itself(word: str) -> bool:
 def _lets_go(user: bpy.types.ID, ob: bpy.types.Object, going: set[bpy.types.Object]) -> bool:
     """Whether a user of an object does not mind that it goes."""
     return (
-        isinstance(user, bpy.types.Collection)
+        (isinstance(user, bpy.types.Collection) and user.library is None)
         or (isinstance(user, bpy.types.Scene) and user.camera != ob)
         or user in going
     )

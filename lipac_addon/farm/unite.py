@@ -30,7 +30,7 @@ from ..keys import packed
 from .analyse import note_of
 from .layout import FarmShot, read_json, write_json
 from .opening import open_shot
-from .stripping import strip
+from .stripping import drop_linked, strip
 
 _LOOKS = 16  # files at a time that are looked at
 
@@ -152,9 +152,11 @@ def save_culled(together: ShotSet, path: Path) -> dict[str, Any]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     written: dict[str, Any] = {}
-    warnings, _ = write_back(~together.active, together.keys, written, together.faces, lasting=True)
     with muted():
-        removed = strip()
+        gone = drop_linked(~together.active, together.keys)
+    warnings, _ = write_back(~together.active & ~gone, together.keys, written, together.faces, lasting=True)
+    with muted():
+        removed = strip() + len(np.unique(together.keys.records["object"][gone]))
     try:
         save_copy(path)
     except RuntimeError as error:

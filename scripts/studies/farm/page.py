@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     plot(measured, FOLDER / "makespan.svg")
     parts = {"measured": measured_table(found), "simulated": simulated_table(measured)}
     text = re.sub(
-        r"(<!-- (\w+) -->\n).*?(<!-- end -->)",
+        r"(<!-- (measured|simulated) -->\n).*?(<!-- end -->)",
         lambda m: f"{m[1]}{parts[m[2]]}\n{m[3]}",
         PAGE.read_text(),
         flags=re.DOTALL,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 
 from lipac.lipac_addon.batch.baked import save_copy
 from lipac.lipac_addon.extract import extract_frame
-from lipac.lipac_addon.farm.stripping import strip
+from lipac.lipac_addon.farm.stripping import drop_linked, strip
 from lipac.lipac_addon.pictures import read_picture
 from lipac.lipac_addon.writeback import apply, restore
 
@@ -98,6 +99,68 @@ def test_of_a_family_that_is_hidden_all_goes(boxes: Any) -> None:
     third.constraints.new("COPY_LOCATION").target = child
     hide(FAR)
     assert strip() == 4
+
+
+def link_far(boxes_file: Path, names: Sequence[str] = ("box4", "box5")) -> list[Any]:
+    """Boxes of the file that is open go, and come back from a library."""
+    for name in names:
+        bpy.data.objects.remove(bpy.data.objects[name])
+    with bpy.data.libraries.load(str(boxes_file), link=True) as (_, into):
+        into.objects = list(names)
+    for ob in into.objects:
+        bpy.context.scene.collection.objects.link(ob)
+    return list(into.objects)
+
+
+def culled(names: set[str]) -> tuple[Any, Any]:
+    """What says that all of these are culled, and the keys."""
+    restore()
+    keys = extract_frame(bpy.context.scene).keys
+    plain = [name.rpartition("\n")[2] for name in keys.names]
+    return np.isin(np.array(plain)[keys.records["object"]], list(names)), keys
+
+
+def test_linked_objects_are_linked_no_more(boxes: Any, boxes_file: Path, tmp_path: Path) -> None:
+    """Blender would not save that they are hidden. What is rendered does not change."""
+    link_far(boxes_file)
+    cull, keys = culled({"box4", "box5"})
+    gone = drop_linked(cull, keys)
+    assert (gone == cull).all()
+    assert cull.sum() == 2
+    strip()
+    save_copy(tmp_path / "stripped.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "stripped.blend"))
+    assert not names() & {"box4", "box5"}
+    assert not list(bpy.data.libraries)
+
+
+@pytest.mark.parametrize("use", ["constraint", "shown elsewhere", "linked collection", "light inside"])
+def test_linked_objects_that_something_uses_stay(boxes: Any, boxes_file: Path, tmp_path: Path, use: str) -> None:
+    if use == "linked collection":
+        bpy.ops.wm.open_mainfile(filepath=str(boxes_file))
+        collection = bpy.data.collections.new("of the library")
+        collection.objects.link(bpy.data.objects["box4"])
+        bpy.context.scene.collection.children.link(collection)
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+        bpy.ops.wm.open_mainfile(filepath=str(boxes_file))
+        bpy.data.objects.remove(bpy.data.objects["box4"])
+        with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, into):
+            into.collections = ["of the library"]
+        bpy.context.scene.collection.children.link(into.collections[0])
+    else:
+        (box,) = link_far(boxes_file, ["box4"])
+        if use == "constraint":
+            bpy.data.objects["box0"].constraints.new("TRACK_TO").target = box
+        elif use == "light inside":
+            lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT"))
+            bpy.context.scene.collection.objects.link(lamp)
+            lamp.parent = box
+    cull, keys = culled({"box4"})
+    assert cull.sum() == 1
+    if use == "shown elsewhere":
+        cull[:] = False
+    assert not drop_linked(cull, keys).any()
+    assert "box4" in names()
 
 
 def test_nothing_hidden(boxes: Any) -> None:

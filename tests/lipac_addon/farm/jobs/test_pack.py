@@ -46,8 +46,8 @@ def wear(ob: Any, image: Any) -> None:
 
 @pytest.fixture
 def textured(rising: Path, tmp_path: Path) -> FarmShot:
-    """Every box of the scene has a texture, one box is linked from a library; the shot is of a frame before the
-    wall."""
+    """Every box of the scene has a texture, one before the wall and one behind it are linked from a library; the shot
+    is of a frame before the wall."""
     scene = tmp_path / "project" / "scenes" / "textured.blend"
     textures = tmp_path / "project" / "textures"
     scene.parent.mkdir(parents=True)
@@ -64,8 +64,9 @@ def textured(rising: Path, tmp_path: Path) -> FarmShot:
     bpy.data.orphans_purge(do_recursive=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(scene))
     with bpy.data.libraries.load(str(library), link=True) as (_, into):
-        into.objects = ["box0"]
-    bpy.context.scene.collection.objects.link(into.objects[0])
+        into.objects = ["box0", "box7"]
+    for ob in into.objects:
+        bpy.context.scene.collection.objects.link(ob)
     bpy.ops.file.make_paths_relative()
     bpy.ops.wm.save_as_mainfile(filepath=str(scene))
     shot = write_shot(tmp_path / "project" / "shots" / "one", scene, Wanted(frames=(1,), paths=2))
@@ -80,10 +81,10 @@ def test_only_what_the_culled_file_needs(textured: FarmShot) -> None:
     found = pack.pack(textured)
     packed = {path.name for path in (textured.folder / pack.PACKED).rglob("*") if path.is_file()}
     assert packed >= {"shot.blend", "library.blend", "texture1.png", "texture2.png", "texture3.png"}
-    assert not packed & {"texture4.png", "texture5.png", "texture6.png"}
+    assert not packed & {"texture4.png", "texture5.png", "texture6.png", "texture7.png"}
     assert found["culled"]["missing"] == found["full"]["missing"] == []
-    assert found["full"]["files"] - found["culled"]["files"] == 3
-    assert found["full"]["bytes"] - found["culled"]["bytes"] > 3 * 50_000
+    assert found["full"]["files"] - found["culled"]["files"] == 4
+    assert found["full"]["bytes"] - found["culled"]["bytes"] > 4 * 50_000
     rendered = []
     for path in (textured.culled, next((textured.folder / pack.PACKED).rglob("shot.blend"))):
         bpy.ops.wm.open_mainfile(filepath=str(path))
