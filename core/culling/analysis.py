@@ -316,8 +316,8 @@ def _search(loop: Loop, measured: Measurement, budget: Budget) -> Search:
 def _evidence(loop: Loop, measured: Measurement, budget: Budget) -> I64:
     """(A,) how many paths say what each TLAS entry is worth: those that met it.
 
-    What mirrors and glass show of an emitter, light sampling does not find. Where one path that meets it there could
-    break the budget of a tile, and paths meet such emitters there, those alone are evidence.
+    What mirrors and glass show of an emitter, light sampling does not find. Where one path that meets it there would
+    break the budget of a typical tile, and paths meet such emitters there, those alone are evidence.
     """
     met, ids = measured.paths_met(), measured.tlas.ids
     rows = measured.tlas.entry_of(len(loop.activation))[measured.emissive]
@@ -326,8 +326,8 @@ def _evidence(loop: Loop, measured: Measurement, budget: Budget) -> I64:
         return met
     paths = np.bincount(tiles_of(loop.size[1], loop.size[0]).ravel(), minlength=TILES) * measured.samples
     light = measured.weights.total * measured.weights.unit / np.maximum(paths, 1)  # mean of each tile's paths
-    least = float((np.maximum(light, DARK * light.mean()) * paths)[paths > 0].min())
-    rows = rows[brightest(loop.scene)[ids[rows]] > budget.worst * least]
+    typical = float(np.median((np.maximum(light, DARK * light.mean()) * paths)[paths > 0]))
+    rows = rows[brightest(loop.scene)[ids[rows]] > budget.worst * typical]
     seen = measured.feedback.hits[ids[rows]][:, [RayType.GLOSSY, RayType.TRANSMISSION]].sum(axis=1)
     if seen.any():
         met[rows] = np.minimum(met[rows], seen)
