@@ -50,7 +50,7 @@ class Parts:
         return Mesh(
             mesh.positions[vertices],
             corners.reshape(-1, 3).astype(np.uint32),
-            None if mesh.normals is None else mesh.normals[chosen],
+            None if mesh.normals is None else mesh.normals[vertices if mesh.normals.ndim == 2 else chosen],
             None if mesh.uvs is None else mesh.uvs[:, chosen],
             None if mesh.slots is None else mesh.slots[chosen],
         )

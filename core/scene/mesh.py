@@ -20,7 +20,7 @@ class Mesh:
     """Triangles of one BLAS, in object space.
 
     positions: (V, 3) float32, C-contiguous; triangles: (T, 3) uint32 into positions.
-    normals: (T, 3, 3) float32 shading normal per corner, or None: flat.
+    normals: float32 shading normals, (V, 3) by vertex or (T, 3, 3) by corner, or None: flat.
     uvs: (K, T, 3, 2) float32 for the K maps of `Scene.uv_maps`, or None: no map is needed.
     slots: (T,) uint16 material slot per triangle, or None: slot 0 throughout.
     faces: (T,) int32 face, of any number of corners, that each triangle is a part of, or None: each is a face.
@@ -39,7 +39,8 @@ MESH = np.dtype(
         # Addresses of a loaded mesh's arrays (0: absent), for kernels: `Mesh` says their shapes.
         ("positions", "u8"),
         ("triangles", "u8"),
-        ("normals", "u8"),
+        ("normals", "u8"),  # by corner
+        ("vertex_normals", "u8"),
         ("uvs", "u8"),
         ("slots", "u8"),
         ("triangle_count", "i8"),
@@ -78,7 +79,9 @@ def _address(array: np.ndarray | None) -> int:
 
 def record(mesh: Mesh) -> tuple[int, ...]:
     """The MESH record of a mesh that is `loaded`: valid while the mesh lives."""
-    return (*map(_address, (mesh.positions, mesh.triangles, mesh.normals, mesh.uvs, mesh.slots)), len(mesh.triangles))
+    by_corner = mesh.normals is not None and mesh.normals.ndim == 3
+    normals = (mesh.normals, None) if by_corner else (None, mesh.normals)
+    return (*map(_address, (mesh.positions, mesh.triangles, *normals, mesh.uvs, mesh.slots)), len(mesh.triangles))
 
 
 class MeshSequence(Sequence[Mesh]):

@@ -26,6 +26,7 @@ S_BARY = 6  # barycentrics of vertices 1 and 2
 SURF = 8
 _MESH_SIZE = np.uint64(MESH.itemsize)
 _POSITIONS, _TRIANGLES, _NORMALS = offset(MESH, "positions"), offset(MESH, "triangles"), offset(MESH, "normals")
+_VERTEX_NORMALS = offset(MESH, "vertex_normals")
 _UVS, MESH_SLOTS, _COUNT = offset(MESH, "uvs"), offset(MESH, "slots"), offset(MESH, "triangle_count")
 _ZERO, _ONE, _HALF, _TWO, _THIRD = map(np.float32, (0.0, 1.0, 0.5, 2.0, 1.0 / 3.0))
 # Error bounds of `interpolate`, in units of float32's rounding
@@ -75,17 +76,36 @@ def corners(mesh, triangle):
 
 
 @njit(**INNER)
+def smooth(mesh):
+    """Whether a mesh has shading normals."""
+    return load_u64(mesh + _NORMALS, 0) != np.uint64(0) or load_u64(mesh + _VERTEX_NORMALS, 0) != np.uint64(0)
+
+
+@njit(**INNER)
+def corner_normals(mesh, triangle):
+    """Shading normals at the corners of a triangle of a smooth mesh, in object space: 9 float32."""
+    n, rows = load_u64(mesh + _NORMALS, 0), load_u64(mesh + _TRIANGLES, 0)
+    i, j, k = 9 * triangle, 9 * triangle + 3, 9 * triangle + 6
+    if n == np.uint64(0):
+        n = load_u64(mesh + _VERTEX_NORMALS, 0)
+        i = 3 * np.int64(load_u32(rows, 3 * triangle))
+        j = 3 * np.int64(load_u32(rows, 3 * triangle + 1))
+        k = 3 * np.int64(load_u32(rows, 3 * triangle + 2))
+    return (
+        *(load_f32(n, i), load_f32(n, i + 1), load_f32(n, i + 2)),
+        *(load_f32(n, j), load_f32(n, j + 1), load_f32(n, j + 2)),
+        *(load_f32(n, k), load_f32(n, k + 1), load_f32(n, k + 2)),
+    )
+
+
+@njit(**INNER)
 def corner_normal(mesh, triangle, b1, b2):
     """Interpolated shading normal in object space, not normalised; zeros where the mesh is flat shaded."""
-    n = load_u64(mesh + _NORMALS, 0)
-    if n == np.uint64(0):
+    if not smooth(mesh):
         return _ZERO, _ZERO, _ZERO
-    i = 9 * triangle
+    nx0, ny0, nz0, nx1, ny1, nz1, nx2, ny2, nz2 = corner_normals(mesh, triangle)
     b0 = _ONE - b1 - b2
-    x = b0 * load_f32(n, i) + b1 * load_f32(n, i + 3) + b2 * load_f32(n, i + 6)
-    y = b0 * load_f32(n, i + 1) + b1 * load_f32(n, i + 4) + b2 * load_f32(n, i + 7)
-    z = b0 * load_f32(n, i + 2) + b1 * load_f32(n, i + 5) + b2 * load_f32(n, i + 8)
-    return x, y, z
+    return b0 * nx0 + b1 * nx1 + b2 * nx2, b0 * ny0 + b1 * ny1 + b2 * ny2, b0 * nz0 + b1 * nz1 + b2 * nz2
 
 
 @njit(**INNER)
@@ -253,8 +273,7 @@ def shadow_origin(mesh, m, triangle, surf, frame, lx, ly, lz):
     shadow terminator", Ray Tracing Gems II, 2021): each corner's tangent plane is raised to the point, the smallest
     lift wins.
     """
-    n = load_u64(mesh + _NORMALS, 0)
-    if n == np.uint64(0):
+    if not smooth(mesh):
         return offset_origin(surf, frame, lx, ly, lz)
     cos_n = frame[F_NS] * lx + frame[F_NS + 1] * ly + frame[F_NS + 2] * lz
     flip = -_ONE if cos_n < _ZERO else _ONE
@@ -269,10 +288,7 @@ def shadow_origin(mesh, m, triangle, surf, frame, lx, ly, lz):
         return offset_origin(surf, frame, lx, ly, lz)
     b1, b2 = surf[S_BARY], surf[S_BARY + 1]
     b0 = _ONE - b1 - b2
-    i = 9 * triangle
-    nx0, ny0, nz0 = load_f32(n, i), load_f32(n, i + 1), load_f32(n, i + 2)
-    nx1, ny1, nz1 = load_f32(n, i + 3), load_f32(n, i + 4), load_f32(n, i + 5)
-    nx2, ny2, nz2 = load_f32(n, i + 6), load_f32(n, i + 7), load_f32(n, i + 8)
+    nx0, ny0, nz0, nx1, ny1, nz1, nx2, ny2, nz2 = corner_normals(mesh, triangle)
     ax, ay, az, bx, by, bz, cx, cy, cz = corners(mesh, triangle)
     px, py, pz = b0 * ax + b1 * bx + b2 * cx, b0 * ay + b1 * by + b2 * cy, b0 * az + b1 * bz + b2 * cz
     nx, ny, nz = b0 * nx0 + b1 * nx1 + b2 * nx2, b0 * ny0 + b1 * ny1 + b2 * ny2, b0 * nz0 + b1 * nz1 + b2 * nz2

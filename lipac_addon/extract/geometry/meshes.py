@@ -218,11 +218,13 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
     if source.origin is not None and source.origin.any():
         positions = (positions - source.origin).astype(np.float32)
     loops: NDArray[np.int32] | None = None
-    if mesh.normals_domain != "FACE" or source.needs_uv:
+    if mesh.normals_domain == "CORNER" or source.needs_uv:
         loops = corners[kept]
     normals = uvs = slots = None
-    if loops is not None and mesh.normals_domain != "FACE":
+    if loops is not None and mesh.normals_domain == "CORNER":
         normals = read(mesh.corner_normals, "vector", len(mesh.loops), 3)[loops]
+    elif mesh.normals_domain == "POINT":
+        normals = read(mesh.vertex_normals, "vector", len(positions), 3)
     if loops is not None and source.needs_uv:
         uvs = np.stack([_uv(mesh, name)[loops] for name in uv_maps])
     if source.slot_count > 1:

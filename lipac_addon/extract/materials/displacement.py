@@ -253,10 +253,13 @@ def shells(mesh: Mesh, normals: F32, relief: Relief) -> Mesh:
             np.full(int(displaced.sum()), 2 * count),
         ]
     )
+    shading = mesh.normals
+    if shading is not None:
+        shading = np.concatenate(3 * (shading,)) if shading.ndim == 2 else shading[rows]
     return Mesh(
         positions.astype(np.float32),
         mesh.triangles[rows] + moved.astype(np.uint32)[:, None],
-        None if mesh.normals is None else mesh.normals[rows],
+        shading,
         None if mesh.uvs is None else np.ascontiguousarray(mesh.uvs[:, rows]),
         None if mesh.slots is None else mesh.slots[rows],
     )

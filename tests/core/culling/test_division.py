@@ -90,6 +90,10 @@ def test_all_that_belongs_to_triangles_goes_with_them() -> None:
     assert np.array_equal(part.normals, mesh.normals[chosen])  # type: ignore[index]
     assert np.array_equal(part.uvs, mesh.uvs[:, chosen])  # type: ignore[index]
     assert np.array_equal(part.slots, mesh.slots[chosen])  # type: ignore[index]
+    by_vertex = Mesh(mesh.positions, mesh.triangles, rng.random(mesh.positions.shape, np.float32))
+    part = Parts.of(by_vertex).part(5)
+    assert part.normals is not None and by_vertex.normals is not None
+    assert np.array_equal(part.normals[part.triangles], by_vertex.normals[mesh.triangles[chosen]])
 
 
 def test_a_terrain_keeps_the_budget_by_few_of_its_triangles() -> None:

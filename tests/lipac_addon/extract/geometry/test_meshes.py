@@ -15,8 +15,8 @@ from ..conftest import add, cube, wedge
 
 
 def test_normals_slots_and_uvs() -> None:
-    """Flat meshes have no normals, smooth ones one per corner; slots and UVs follow their triangles; UVs only where a
-    texture needs them."""
+    """Flat meshes have no normals, smooth ones one per vertex, and one per corner where edges are sharp; slots and UVs
+    follow their triangles; UVs only where a texture needs them."""
     mesh = cube()
     plain, textured = (bpy.data.materials.new(n) for n in ("plain", "textured"))
     tree = textured.node_tree
@@ -34,13 +34,17 @@ def test_normals_slots_and_uvs() -> None:
     first.uv.foreach_set("vector", np.zeros(48, np.float32))
     second.uv.foreach_set("vector", uv.ravel())
     add("cube", mesh)
-    smooth = wedge()
-    smooth.polygons.foreach_set("use_smooth", [True] * 4)
+    smooth, sharp = wedge(), wedge()
+    for tetrahedron in (smooth, sharp):
+        tetrahedron.polygons.foreach_set("use_smooth", [True] * 4)
+        tetrahedron.update()
     add("wedge", smooth)
+    sharp.attributes.new("sharp_edge", "BOOLEAN", "EDGE").data.foreach_set("value", [e < 4 for e in range(6)])
+    add("sharp", sharp)
     extraction = extract_frame(bpy.context.scene)
     scene = extraction.scene
     names = [extraction.keys.names[k] for k in extraction.keys.records["object"]]
-    box, tetra = (scene.meshes[scene.instances.mesh[names.index(n)]] for n in ("cube", "wedge"))
+    box, tetra, edged = (scene.meshes[scene.instances.mesh[names.index(n)]] for n in ("cube", "wedge", "sharp"))
     assert scene.uv_maps == ("", "second")
     assert box.normals is None
     assert box.slots is not None and box.uvs is not None
@@ -52,9 +56,13 @@ def test_normals_slots_and_uvs() -> None:
     assert not box.uvs[0].any()
     assert tetra.uvs is None
     assert tetra.normals is not None
-    np.testing.assert_allclose(np.linalg.norm(tetra.normals, axis=2), 1, atol=1e-4)  # Blender's own rounding
-    corner = tetra.normals[tetra.triangles == 3]
-    np.testing.assert_allclose(corner, np.broadcast_to(corner[0], corner.shape), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(tetra.normals, axis=1), 1, atol=1e-4)  # Blender's own rounding
+    corners = np.array([tuple(t.loops) for t in smooth.loop_triangles])
+    of_blender = np.array([n.vector for n in smooth.corner_normals])[corners]
+    np.testing.assert_array_equal(tetra.normals[tetra.triangles], of_blender)
+    assert edged.normals is not None
+    np.testing.assert_array_equal(edged.normals, np.array([n.vector for n in sharp.corner_normals])[corners])
+    assert (edged.normals != tetra.normals[tetra.triangles]).any()
 
 
 def test_triangles_are_those_that_blender_gives_out() -> None:
