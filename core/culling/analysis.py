@@ -64,6 +64,11 @@ def decide(loop: Loop, progress: Progress = silent) -> CullingResult:
         keep = options.rule(scene) & loop.activation.exists
         loop.activation.activate_alone(keep)
         return loop.result(keep, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
+    if scene.whole:
+        n = len(scene.instances)
+        loop.activation.activate_alone(loop.activation.exists)
+        hits = np.zeros((n, RAY_TYPES), np.int64)
+        return loop.result(loop.activation.exists, np.zeros(n, np.float32), hits, (scene.whole,))
     measured = loop.run(part(progress, 0.0, 0.7, "light paths ask for geometry, "))
     if options.min_share is not None:
         return by_counts(loop, measured, options.min_share)
@@ -294,7 +299,7 @@ def _search(loop: Loop, measured: Measurement, budget: Budget) -> Search:
             loop.tracer.trace_without(measured.tlas, traced.first_sample, keep, tlas, paths, buffer)
             return buffer
 
-        return Trial(Reference(traced.log, only, light), traced.log.copy(only), without, only)
+        return Trial(Reference(traced.log, only, light, loop.known), traced.log.copy(only), without, only)
 
     light = _light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64))
     trials = [trial(traced, None if k else light) for k, traced in enumerate(measured.traced)]
@@ -325,7 +330,8 @@ def _evidence(loop: Loop, measured: Measurement, budget: Budget) -> I64:
     if not len(rows):
         return met
     paths = np.bincount(tiles_of(loop.size[1], loop.size[0]).ravel(), minlength=TILES) * measured.samples
-    light = measured.weights.total * measured.weights.unit / np.maximum(paths, 1)  # mean of each tile's paths
+    total = measured.weights.total * measured.weights.known * measured.weights.unit
+    light = total / np.maximum(paths, 1)  # mean of each tile's paths
     typical = float(np.median((np.maximum(light, DARK * light.mean()) * paths)[paths > 0]))
     rows = rows[brightest(loop.scene)[ids[rows]] > budget.worst * typical]
     seen = measured.feedback.hits[ids[rows]][:, [RayType.GLOSSY, RayType.TRANSMISSION]].sum(axis=1)

@@ -222,7 +222,7 @@ class _Layer:
     def __init__(self, loop: Loop, witness: Witness, only: NDArray[np.uint8]) -> None:
         self._loop, self.witness = loop, witness
         light = witness.light if any(hits.lamps_known for hits in loop.scene.first_hits.values()) else None
-        self.reference = Reference(witness.log, only, light)
+        self.reference = Reference(witness.log, only, light, loop.known)
         self.trial = Trial(self.reference, witness.log, self._without, only)
         self._buffer = PathLog.zeros(*only.shape)
         self._keep, self._tlas = loop.activation.exists, witness.tlas

@@ -12,16 +12,19 @@ from ..accel.blas import BlasCache
 from ..accel.hitboxes import Hitboxes
 from ..accel.residency import Residency
 from ..accel.tlas import Tlas
-from ..arrays import F32, I32
+from ..arrays import F32, F64, I32
 from ..errors import Cancelled
 from ..feedback.hits import Feedback, Weights
 from ..feedback.path_log import RECORD, PathLog, renumber
+from ..feedback.tiles import TILES
 from ..progress import Progress, silent
 from ..scene.change import Change
 from ..scene.film import Picture
+from ..scene.known_light import known_light
 from ..scene.model import Scene
 from ..tracing.seen_emitters import SeenEmitters, seen_emitters
 from ..tracing.tracer import Prepared, advanced, prepare, trace
+from .measurement import known_share
 from .options import CullOptions
 from .result import Timer
 
@@ -176,15 +179,25 @@ class FrameTracer:
             )
             renumber(log.records.reshape(-1, RECORD), only.reshape(-1), places(full.ids, tlas.ids))
 
-    def with_only_emitters(self, keep: np.ndarray) -> Prepared:
+    def with_only_emitters(self, keep: np.ndarray, prepared: Prepared | None = None) -> Prepared:
         """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not
-        built, so that they are noticed."""
-        emissive, flags = self.prepared.emissive, self.scene.instances.flags
+        built, so that they are noticed. prepared: the scene with other lights."""
+        prepared = prepared or self.prepared
+        emissive, flags = prepared.emissive, self.scene.instances.flags
         if keep[emissive].all():
-            return self.prepared
+            return prepared
         flags = flags.copy()
         flags[emissive[~keep[emissive]]] = 0
-        return self.prepared.with_instances(dataclasses.replace(self.scene.instances, flags=flags))
+        return prepared.with_instances(dataclasses.replace(self.scene.instances, flags=flags))
+
+    def known_light(self, tlas: Tlas, keep: np.ndarray, samples: int, picture: F32) -> F64:
+        """(T,) `known_share` of a picture of keep, (N,) bool, which tlas holds, by the samples from 0 on."""
+        if (scene := known_light(self.scene)) is None:
+            return np.ones(TILES)
+        prepared = self.with_only_emitters(keep, self.prepared.relit(scene))
+        with self.timer.step("trace_s"):
+            known = self._trace(prepared, tlas, samples, 0, None, silent, self.size)
+        return known_share(self.scene, known.mean, picture)
 
     def _trace(
         self,

@@ -8,6 +8,7 @@ When no path asks for more, the active set is measured by real hits, and what fe
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -68,6 +69,7 @@ class Loop:
         self.cold = True  # nothing is known yet of what paths need
         self.division = Division.of(scene, options, self.limited)
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
+        self.known = np.ones(TILES)  # share of the light of each tile that is surely there, by the last measurement
         self._twins = Twins()
         self.tracer = FrameTracer(scene, options, self.residency, cancelled)
         self._enter(scene)
@@ -183,12 +185,13 @@ class Loop:
             tlas = self.tracer.build(self.activation.active, progress)
         built = np.zeros(len(self.activation), bool)
         built[tlas.ids] = True
-        weights = Weights.zeros(len(tlas), self.ambient)
-        log = PathLog.zeros(self.size[1], self.size[0], samples or self.first_samples)
+        weights, count = Weights.zeros(len(tlas), self.ambient), samples or self.first_samples
+        log = PathLog.zeros(self.size[1], self.size[0], count)
         prepared = self.tracer.with_only_emitters(built)
-        feedback, _ = self.tracer.count(prepared, tlas, log.shape[2], 0, weights=weights, progress=progress, log=log)
-        traced = Traced(log, 0, np.full(TILES, log.shape[2]))
-        self.measured = Measurement(tlas, feedback, weights, (traced,), self.tracer.prepared.emissive)
+        feedback, picture = self.tracer.count(prepared, tlas, count, 0, weights=weights, progress=progress, log=log)
+        self.known = self.tracer.known_light(tlas, built, count, picture)
+        weights, traced = replace(weights, known=self.known), Traced(log, 0, np.full(TILES, count))
+        self.measured = Measurement(tlas, feedback, weights, (traced,), prepared.emissive)
         return self.measured
 
     def measure_denser(self, measured: Measurement, samples: I64, progress: Progress = silent) -> Measurement:

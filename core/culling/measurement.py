@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..accel.tlas import Tlas
-from ..arrays import F64, I64
+from ..arrays import F32, F64, I64
 from ..feedback.hits import Feedback, Weights
 from ..feedback.path_log import PathLog
+from ..feedback.tiles import tile_means
+from ..scene.model import Scene
 
 
 @dataclass(frozen=True)
@@ -73,3 +75,12 @@ class Measurement:
         for rows in (self.tlas.ids, self.emissive):
             out[rows] = hits[rows].sum(axis=1)
         return out
+
+
+def known_share(scene: Scene, known: F32, picture: F32) -> F64:
+    """(T,) what share of the light of each tile of a picture is surely there. known: the same picture, without light of
+    which nobody knows whether it is (`core.scene.known_light`)."""
+    share = tile_means(known) / np.maximum(tile_means(picture), 1e-30)
+    if (scene.lights["unsure"] & 2).any():  # what lamps take away is no more than all that is not known
+        share = 2 * share - 1
+    return np.asarray(np.clip(share, 0.0, 1.0))

@@ -64,7 +64,7 @@ def trace_witness(
             renumber(records, 1 - only.reshape(-1), places(tlas.ids, before.ids))
         cut, boxes = loop.boxes(tlas)
         log.clear(only)
-        weights = Weights.zeros(1, loop.ambient, first=len(tlas))
+        weights = dataclasses.replace(Weights.zeros(1, loop.ambient, first=len(tlas)), known=loop.known)
         feedback, _ = loop.tracer.count(prepared, tlas, only.shape[2], first_sample, boxes, weights, log=log, only=only)
         light = light if k else weights.total
         unknown = dataclasses.replace(weights, total=light).relative(samples)[0]  # of tiles without paths 0

@@ -188,9 +188,12 @@ class Reference:
     paths: (T,) float64, how many lie in each tile.
     """
 
-    def __init__(self, log: PathLog, only: np.ndarray | None = None, light: F64 | None = None) -> None:
+    def __init__(
+        self, log: PathLog, only: np.ndarray | None = None, light: F64 | None = None, known: F64 | None = None
+    ) -> None:
         """only: (H, W, S), marks the paths that there are, where those are not all: of a tile all or none. light: (T,)
-        luminance of all paths of each tile, where the log leaves some of it out.
+        luminance of all paths of each tile, where the log leaves some of it out. known: (T,) what share of the light is
+        surely there, where that is not all: changes are relative to that.
         """
         self.height, self.width, self.samples = log.shape
         marked = np.ones(log.shape, bool) if only is None else only.astype(bool)
@@ -212,7 +215,7 @@ class Reference:
                 for c in range(3)
             ]
         )
-        self._light = light
+        self._light, self.known = light, np.ones(TILES) if known is None else known
 
     @property
     def nothing(self) -> Difference:
@@ -284,6 +287,7 @@ class Light:
         known = [r._light for r in references if r._light is not None]
         if known:
             luminance = brightness = np.sum(known, axis=0)
+        luminance, brightness = luminance * references[0].known, brightness * references[0].known
         lit = [
             paths * np.maximum(x / paths, max(DARK * float((x / paths).mean()), _TINY)) for x in (luminance, brightness)
         ]

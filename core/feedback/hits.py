@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import mmap
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,8 @@ class Weights:
     mean luminance, since something that bright may stand behind it; and what its blocking denied to shadow rays. total:
     (T,) int64, luminance of all paths of a tile. Tiles in rows from the bottom. ambient: mean luminance of the picture.
     unit: luminance of one unit. first: the TLAS entry that row 0 is for; those before it are not weighed. The number
-    behind the last entry of a TLAS, where there is a row for it, stands for the boxes of all that is not built.
+    behind the last entry of a TLAS, where there is a row for it, stands for the boxes of all that is not built. known:
+    (T,) what share of the light is surely there: changes are relative to that.
     """
 
     light: I64
@@ -48,6 +49,7 @@ class Weights:
     ambient: float
     unit: float
     first: int = 0
+    known: F64 = field(default_factory=lambda: np.ones(TILES))
 
     @staticmethod
     def zeros(entries: int, ambient: float, first: int = 0) -> Weights:
@@ -63,7 +65,7 @@ class Weights:
 
         Tiles darker than DARK times the mean are judged against that.
         """
-        total = self.total.astype(np.float64)
+        total = self.total * self.known
         return self.light / np.maximum(total, np.maximum(DARK * (total / samples).mean() * samples, 1.0))
 
 

@@ -251,8 +251,14 @@ class Report:
         out = []
         measured = f"the same in crops, rendered by {self.engine or 'path'}"
         sure = min((f["confidence"] for f in self.frames if "confidence" in f), default=0.0)
+        unmeasured = not any("verified_mean" in f for f in self.frames)
+        doubt = "as far as the analysis models the scene (see what is approximated), " * unmeasured
         for kind, text in (
-            ("certified", f"with {100 * sure:.0f} % confidence the picture changes by no more than"),
+            (
+                "certified",
+                f"{doubt * bool(self.approximated)}with {100 * sure:.0f} % confidence the picture changes by no more "
+                "than",
+            ),
             ("verified", measured),
         ):
             found = [f for f in self.frames if f"{kind}_mean" in f]

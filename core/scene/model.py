@@ -138,6 +138,8 @@ MATERIAL = np.dtype(
         ("rays", "u2"),  # of BY_RAY: a bit per view that sees the second part
         # 1: an approximation; how much passes through is not known, so all that is seen through it is to be kept
         ("unsure", "u4"),
+        # 1: how much it emits is not known; `emission` is the most that it may be
+        ("unsure_emission", "u4"),
         # of MIX and BY_RAY: rows of two materials, never in a cycle; emission there is the brightest of theirs
         ("parts", "i4", (2,)),
     ],
@@ -180,6 +182,8 @@ LIGHT = np.dtype(
         ("soft_falloff", "u1"),  # point, spot
         ("use_mis", "u1"),
         ("max_bounces", "i4"),
+        # 1: what of its light arrives where is not known, this is the most that may; 2 or 3: it takes it away
+        ("unsure", "u4"),
     ],
     align=True,
 )
@@ -319,7 +323,7 @@ class Scene:
     approximated: one line per thing that the engine renders differently from Blender.
     first_hits: what camera rays meet, where it is known from elsewhere, by width and height of the picture: paths of
     such a picture start there. shutter: the camera at evenly spaced moments of an exposure, of which each path takes
-    one at random; none: it stands still.
+    one at random; none: it stands still. whole: why nothing may be culled by light paths, in words; "": it may.
     """
 
     instances: Instances
@@ -339,6 +343,7 @@ class Scene:
     first_hits: Mapping[tuple[int, int], FirstHitBuffer] = field(default_factory=dict)
     shutter: tuple[Camera, ...] = ()
     render_costs: RenderCosts | None = None
+    whole: str = ""
 
 
 def default_material() -> Records:

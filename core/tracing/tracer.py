@@ -63,6 +63,11 @@ class Prepared:
         lights = self.lights.with_more_instances(len(scene.instances) - len(self.scene.instances))
         return dataclasses.replace(self, scene=scene, table=SceneTable(scene), lights=lights)
 
+    def relit(self, scene: Scene) -> Prepared:
+        """The same scene with other lights: lamps, and emission of materials."""
+        lights = Lights(scene, None, self.lights.meshes)
+        return dataclasses.replace(self, scene=scene, table=SceneTable(scene), lights=lights)
+
     def with_emitters(self, active: NDArray[np.bool_]) -> Prepared:
         """The same scene where only those emissive instances light it that are active, (N,) bool: what is left when the
         others are removed."""

@@ -59,6 +59,20 @@ def newer_than_tested() -> list[str]:
     ]
 
 
+def far_from_origin(camera: Camera, film: Film, places: F64) -> list[str]:
+    """One line where Blender, which places things by 32 bits, rounds their places to more than a pixel of the picture,
+    so that its picture is not the one that was analysed. places: (N, 3) of what is seen, relative to the camera."""
+    step = float(np.spacing(np.float32(np.abs(camera.to_world[:, 3]).max())))
+    distance = 1.0 if camera.orthographic else float(np.median(np.linalg.norm(places, axis=1)))
+    pixel = abs(float(camera.frame[1] - camera.frame[0])) * distance / film.width
+    if step <= pixel:
+        return []
+    return [
+        f"so far from the origin Blender rounds places to {step:.2g} m, and a pixel is {pixel:.2g} m: its picture is "
+        "not the one that was analysed; move the scene to the origin"
+    ]
+
+
 def camera_matrix(camera: Any) -> F64:
     """(3, 4) float64 camera to world without scale. Raises InputError when it is not usable."""
     m = np.array(camera.matrix_world, np.float64)[:3]

@@ -26,6 +26,7 @@ from .graph_items import (
     Members,
     Node,
     is_divisible,
+    is_light_linked,
     legacy_instancing,
     matrix,
     ray_visibility,
@@ -61,11 +62,11 @@ class GraphReader:
     is, and compared with what was there. What Blender's memory is referred to by is forgotten with the graph.
 
     After `read`: names (name to index, never fewer), geometry (meshes and their materials), unsupported (lines), frame
-    (a count), addresses (where the graph's data-blocks are).
+    (a count), addresses (of the graph's data-blocks), order (all objects found). most: as of `MaterialTable`.
     """
 
-    def __init__(self) -> None:
-        self.geometry = GeometryReader(self)
+    def __init__(self, most: bool = True) -> None:
+        self.most, self.geometry = most, GeometryReader(self)
         self.names: dict[str, int] = {}
         self.frame = 0
         self.unsupported: dict[str, None] = {}
@@ -74,7 +75,7 @@ class GraphReader:
         self._members: dict[int, Members] = {}
         self._before: dict[str, Node | Members] = {}  # of another graph
         self.addresses: frozenset[int] = frozenset()
-        self._order: list[Node] = []
+        self.order: list[Node] = []
 
     def read(self, depsgraph: Any, goes_on: bool) -> list[Node]:
         """Read a frame and return the objects at the top. goes_on: the graph is that of the last call, evaluated
@@ -92,9 +93,9 @@ class GraphReader:
         )
         self.geometry.begin(getattr(self.layer, "material_override", None))
         self.unsupported.clear()
-        self._order.clear()
+        self.order.clear()
         nodes = [self.node(item) for item in top_level(depsgraph, self.layer)]
-        for node in self._order:  # grows meanwhile
+        for node in self.order:  # grows meanwhile
             if node.kind == Kind.COLLECTION:
                 self.members(node.collection)
         return nodes
@@ -124,7 +125,7 @@ class GraphReader:
             node = self._nodes[key] = Node(item, key, full_name(item), 0, np.zeros((3, 4)), 0, 0)
         before = self._before.get(f"object {full_name(item)}") if fresh else copy(node)
         node.item, node.seen = item, self.frame
-        self._order.append(node)
+        self.order.append(node)
         if fresh or self._is_listed(node):
             update = None if self.listed is None else self.listed.get(key)
             geometry = self.listed is None or (update is not None and update.is_updated_geometry)
@@ -150,7 +151,7 @@ class GraphReader:
         node.collection, node.collection_name, node.lamp, node.data = None, "", None, 0
         if item.type in NOTHING_TYPES and item.instance_type == "NONE":
             return
-        holdout = item.holdout_get(view_layer=self.layer)
+        holdout, node.linked = item.holdout_get(view_layer=self.layer), is_light_linked(item)
         node.world, node.visible = matrix(item.matrix_world), ray_visibility(item)
         if not holdout and item.indirect_only_get(view_layer=self.layer):
             node.visible &= ~(1 << RayType.CAMERA)
@@ -161,7 +162,7 @@ class GraphReader:
         if item.type in GEOMETRY_TYPES:
             self._read_geometry(node, legacy, lines, geometry_changed)
         elif item.type == "LIGHT":
-            node.lamp, node.data = read_lamp(item), item.data.as_pointer()
+            node.lamp, node.data = read_lamp(item, self.most), item.data.as_pointer()
         if node.kind == Kind.OBJECT and item.instance_type == "COLLECTION" and item.instance_collection is not None:
             node.collection, node.kind = item.instance_collection, Kind.COLLECTION
             node.collection_name = full_name(node.collection)

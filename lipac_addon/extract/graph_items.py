@@ -3,7 +3,7 @@ visible."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -55,6 +55,7 @@ class Node:
     alone: bool = False  # shows its mesh only where it is not instanced
     unsupported: tuple[str, ...] = ()
     data: int = 0  # address of a lamp's data
+    linked: bool = False  # what it emits is for some objects alone
     changed: int = 0
     seen: int = 0
 
@@ -82,6 +83,18 @@ def ray_visibility(item: Any) -> int:
         item.visible_camera, item.visible_diffuse, item.visible_glossy, item.visible_transmission, item.visible_shadow
     )
     return sum(1 << bit for bit, on in enumerate(flags) if on)
+
+
+def is_light_linked(item: Any) -> bool:
+    """Whether what an object emits is for some objects alone, or blocked by some alone."""
+    linking = item.light_linking
+    return linking.receiver_collection is not None or linking.blocker_collection is not None
+
+
+def linked_materials(nodes: Iterable[Node]) -> dict[str | None, str]:
+    """Materials, by name, of objects that light some objects alone: the name of such an object."""
+    linked = [node for node in nodes if node.linked and node.geometry is not None]
+    return {name: node.full_name for node in linked if node.geometry is not None for name in node.geometry.materials}
 
 
 def legacy_instancing(item: Any, lines: dict[str, None]) -> Kind | None:

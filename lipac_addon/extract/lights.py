@@ -12,35 +12,42 @@ from numpy.typing import NDArray
 from ...core.arrays import F64, Records
 from ...core.scene.model import LIGHT, AreaShape, LightKind
 from ...core.scene.placing import usable_transforms
+from .materials.ranges import most_of
 
 KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT, "AREA": LightKind.AREA}
 
 
-def _node_strength(light: Any, report: Callable[[str], None]) -> np.ndarray[Any, Any]:
-    """(3,) factor by the light's node tree: colour times strength of its Emission node where these are constant; of a
-    Light Falloff, its strength."""
+def _node_strength(light: Any, report: Callable[[str], None], most: bool) -> tuple[np.ndarray[Any, Any], bool]:
+    """(3,) factor by the light's node tree: colour times strength of its Emission node, and whether that is but the
+    most that it may be, for they are not constant; of a Light Falloff, its strength.
+
+    most: as of `MaterialTable`; else 1 stands for what is not constant.
+    """
     if light.node_tree is None:
-        return np.ones(3)
+        return np.ones(3), False
     inlined = light.inline_shader_nodes()
     output = inlined.node_tree.get_output_node("CYCLES")
     if output is None or not output.inputs["Surface"].is_linked:
-        return np.ones(3) if output is None else np.zeros(3)
+        return np.ones(3) if output is None else np.zeros(3), False
     node = output.inputs["Surface"].links[0].from_node
     if node.type != "EMISSION":
         report(f"light {light.name}: node {node.name!r} is not rendered")
-        return np.ones(3)
-    factor = np.ones(3)
+        return np.ones(3), True
+    factor, unsure = np.ones(3), False
     for name in ("Color", "Strength"):
         socket = node.inputs[name]
         if socket.is_linked:
             report(f"light {light.name}: {name.lower()} by nodes is not rendered")
             source = socket.links[0].from_node
+            unsure = True
             if source.type == "LIGHT_FALLOFF" and not source.inputs["Strength"].is_linked:
                 factor = factor * source.inputs["Strength"].default_value
+            elif most and source.type != "LIGHT_FALLOFF":
+                factor = factor * max(most_of(socket), 0.0)
         else:
             value = socket.default_value
             factor = factor * (np.array(value[:3]) if name == "Color" else value)
-    return factor
+    return factor, unsure
 
 
 @dataclass(frozen=True)
@@ -63,35 +70,45 @@ class Lamp:
     transform: F64
 
 
-def read_lamp(item: Any) -> LampData | None:
+def read_lamp(item: Any, most: bool = True) -> LampData | None:
     """The data of a light object; None for a portal, which guides Cycles' sampling and is no light.
 
-    Where light linking says what blocks it, half of its light passes everything, and half nothing but what lets light
-    pass: so both what it lights and what shades it count.
+    Where light linking says what it lights, or what blocks it, nobody knows how much of its light arrives: all is lit,
+    and where it says what blocks it, twice, by light that passes everything and by light that does not. So both what
+    it lights and what shades it count, as much as they may, and its light is none that changes are relative to. most:
+    as of `MaterialTable`; else half of such light passes everything.
     """
     light = item.data
     if light.type == "AREA" and light.cycles.is_portal:
         return None
     lines: list[str] = []
-    record = _template(light, lines.append)
+    record = _template(light, lines.append, most)
     if item.light_linking.receiver_collection is not None:
         lines.append(f"light {light.name}: light linking not rendered: everything is lit")
+        record["unsure"] |= 1
     if item.light_linking.blocker_collection is not None and light.use_shadow:
-        lines.append(f"light {light.name}: shadow linking not rendered: half of the light passes everything")
+        lines.append(f"light {light.name}: shadow linking not rendered: it is there twice, once without shadows")
         record = np.repeat(record, 2)
-        record["power"] /= 2
-        record["cast_shadow"] = 0, 1
+        record["power"] *= 1.0 if most else 0.5
+        record["cast_shadow"], record["unsure"] = (0, 1), record["unsure"] | 1
+    if not most:
+        record["unsure"] = 0
     return LampData(light.name, record.tobytes(), tuple(lines))
 
 
-def _template(light: Any, report: Callable[[str], None]) -> Records:
+def _template(light: Any, report: Callable[[str], None], most: bool) -> Records:
     """What does not depend on the transform, as a record of shape (1,)."""
     r = np.zeros(1, LIGHT)
     r["kind"] = KINDS[light.type]
     power = np.array(light.color, np.float64) * light.energy * 2.0**light.exposure
     if light.use_temperature:
         power *= np.array(light.temperature_color)[:3]
-    r["power"] = power * _node_strength(light, report)
+    strength, r["unsure"] = _node_strength(light, report, most)
+    r["power"] = power * strength
+    if most and (r["power"] < 0).any():
+        r["power"] = np.abs(r["power"])
+        report(f"light {light.name}: that it takes light away is not rendered: it gives as much")
+        r["unsure"] = 2
     r["normalize"] = light.normalize
     r["cast_shadow"] = light.use_shadow
     r["use_mis"], r["max_bounces"] = light.cycles.use_multiple_importance_sampling, light.cycles.max_bounces

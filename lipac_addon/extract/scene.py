@@ -15,15 +15,24 @@ from ...core.scene.model import Scene
 from ...core.scene.placing import scene_origin
 from ..depsgraph import STAND_IN
 from ..keys import Keys, Kind
-from .camera import NO_CAMERA, extract_camera, extract_film, extract_limits, frame_camera, newer_than_tested
+from .camera import (
+    NO_CAMERA,
+    extract_camera,
+    extract_film,
+    extract_limits,
+    far_from_origin,
+    frame_camera,
+    newer_than_tested,
+)
 from .differences import compare
 from .geometry.meshes import LazyMeshes
 from .graph import GraphReader
-from .graph_items import Node
+from .graph_items import Node, linked_materials
 from .instances import Placed, Placer
 from .lights import place_lamps
 from .materials.displacement import Relief
-from .shading import Shading, ShadingReader, same_array
+from .materials.shaders import PORTAL
+from .shading import Shading, ShadingReader, linked_emission, same_array
 from .shutter import Shutter, same_camera
 from .world import ExtractedWorld, extract_world
 
@@ -77,18 +86,20 @@ class Frame:
                 "motion blur: what moves was looked at where it is when the shutter opens, at the frame, and when it "
                 "closes",
             )
+        if shutter.rolling:
+            lines = (*lines, "rolling shutter not rendered: each row was looked at over the whole exposure")
         return replace(self, scene=replace(self.scene, shutter=cameras, approximated=lines), moments=shutter.moments)
 
 
 class SceneReader:
     """Reads the dependency graphs of the frames of a scene, and tells what changed from each to the next."""
 
-    def __init__(self, allow_no_camera: bool = False, displaced: bool = True) -> None:
-        """allow_no_camera: a scene without a camera is framed as a whole. displaced: true displacement is allowed for,
-        as `displacement` says."""
+    def __init__(self, allow_no_camera: bool = False, most: bool = True) -> None:
+        """allow_no_camera: a scene without a camera is framed as a whole. most: as of `MaterialTable`."""
         self.allow_no_camera = allow_no_camera
-        self.graph = GraphReader()
-        self._shading = ShadingReader(displaced)
+        self.most = most
+        self.graph = GraphReader(most)
+        self._shading = ShadingReader(most)
         self._placed: Placed | None = None
         self._last: tuple[Scene, Shading] | None = None
 
@@ -104,6 +115,8 @@ class SceneReader:
         camera = None if _stand_in(scene) else extract_camera(scene.camera, scene, film)
         nodes = graph.read(depsgraph, goes_on)
         shading = self._shading.read(graph)
+        linked, names = linked_materials(graph.order), tuple(graph.geometry.slots.order)
+        lines, materials = linked_emission(shading.materials, names, linked, self.most)
         graph.geometry.meshes.displace(self._reliefs(shading, nodes))
         placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(
             nodes
@@ -119,9 +132,10 @@ class SceneReader:
             placed = Placer(graph, scene_origin(camera), camera, self._placed).place(nodes)
         pairs = {pair for block in placed.blocks for pair in block.pairs}
         deformed, replaced = graph.geometry.meshes.finish(self._textured(pairs, shading), shading.uv_maps)
+        places = placed.rows.bounds.astype(np.float64).mean(axis=1) + placed.origin - camera.to_world[:, 3]
         approximated, warnings = (
             dict.fromkeys(graph.unsupported),
-            dict.fromkeys((*newer_than_tested(), *graph.geometry.warnings)),
+            dict.fromkeys((*newer_than_tested(), *graph.geometry.warnings, *far_from_origin(camera, film, places))),
         )
         lights = self._lights(placed, approximated, warnings)
         dropped: dict[str, int] = {}
@@ -133,7 +147,7 @@ class SceneReader:
                 f"{count} instance{'s' if count > 1 else ''} of {name!r} left out: the transform is singular or not "
                 "finite"
             )
-        approximated |= dict.fromkeys(shading.approximated)
+        approximated |= dict.fromkeys((*shading.approximated, *lines))
         to_world = camera.to_world.copy()
         to_world[:, 3] -= placed.origin
         result = Scene(
@@ -141,7 +155,7 @@ class SceneReader:
             meshes=LazyMeshes(graph.geometry.meshes.sources, shading.uv_maps),
             mesh_bounds=graph.geometry.meshes.bounds(),
             slot_materials=shading.slot_materials,
-            materials=shading.materials,
+            materials=materials,
             lights=lights,
             world=ExtractedWorld.black().world,
             camera=replace(camera, to_world=to_world),
@@ -151,13 +165,14 @@ class SceneReader:
             limits=extract_limits(scene),
             origin=placed.origin,
             approximated=tuple(approximated),
+            whole=next((line for line in shading.approximated if self.most and line.endswith(PORTAL)), ""),
         )
         scatters = {
             n.full_name: n.geometry.columns[:, 3, :3]
             for n in nodes
             if n.kind == Kind.GEOMETRY_NODES and n.geometry is not None
         }
-        keys, names = Keys(placed.rows.records, tuple(graph.names)), tuple(graph.geometry.slots.order)
+        keys = Keys(placed.rows.records, tuple(graph.names))
         return Frame(result, placed, shading, deformed, replaced, keys, tuple(warnings), scatters, (), names)
 
     def finish(self, frame: Frame, world: ExtractedWorld) -> Extraction:

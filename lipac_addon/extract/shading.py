@@ -3,6 +3,7 @@ changed."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import I32, Records
-from ...core.scene.model import Textures
+from ...core.scene.model import Shader, Textures
 from .graph import GraphReader
 from .materials.displacement import Relief
 from .materials.material_table import MaterialTable
@@ -55,9 +56,9 @@ class ShadingReader:
     """Converts the materials of a frame. The pixels of an image are read once, unless Blender says that the image
     changed."""
 
-    def __init__(self, displaced: bool = True) -> None:
-        """displaced: as of `MaterialTable`."""
-        self.displaced = displaced
+    def __init__(self, most: bool = True) -> None:
+        """most: as of `MaterialTable`."""
+        self.most = most
         self._last: Shading | None = None
         self._order: tuple[str | None, ...] = ()
         self._pixels: dict[tuple[str, bool], Pixels] = {}
@@ -85,7 +86,7 @@ class ShadingReader:
 
     def _convert(self, order: tuple[str | None, ...], materials: dict[str, Any], table: I32) -> Shading:
         textures = TextureTable(print, self._pixels)
-        records = MaterialTable(textures, self.displaced)
+        records = MaterialTable(textures, self.most)
         for name in order:
             records.index(None if name is None else materials[name])
         textured = np.array([records.textured(k) for k in range(len(records.records))], bool)
@@ -98,6 +99,25 @@ class ShadingReader:
             tuple(records.approximated),
             tuple(records.reliefs),
         )
+
+
+def linked_emission(
+    materials: Records, order: Sequence[str | None], linked: Mapping[str | None, str], most: bool = True
+) -> tuple[list[str], Records]:
+    """MATERIAL records in which the emission of some is marked as unsure, and a line for each. order: the names of the
+    first of them; linked: of those in question, each with the object that has it; most: as of
+    `MaterialTable`."""
+    out, lines = materials.copy(), []
+    for name, item in linked.items():
+        parts = {order.index(name)}
+        rows: set[int] = set()
+        while parts - rows:
+            rows |= parts
+            parts = {int(k) for row in rows if out[row]["shader"] >= Shader.MIX for k in out[row]["parts"]}
+        if any(out[row]["emission"].any() for row in rows):
+            lines.append(f"object {item}: light linking of its emission not rendered: everything is lit")
+            out["unsure_emission"][list(rows)] = most
+    return lines, out
 
 
 def _shades(block: Any) -> bool:

@@ -21,10 +21,11 @@ UNSEEN = {"CAMERA", "ARMATURE", "LATTICE", "SPEAKER"}  # what moves of these alo
 @dataclass(frozen=True)
 class Shutter:
     """cameras: in world space, over the exposure, none where it stands still. moments: frames after this one, at which
-    other things are elsewhere."""
+    other things are elsewhere. rolling: rows of the picture have moments of their own."""
 
     cameras: tuple[Camera, ...] = ()
     moments: tuple[float, ...] = ()
+    rolling: bool = False
 
 
 def exposure(scene: Any) -> tuple[float, float] | None:
@@ -60,7 +61,9 @@ def read_shutter(depsgraph: Any, film: Film, at: Callable[[float], None]) -> Shu
     finally:
         at(0.0)
     moments = tuple(time for time in times if time != 0.0) if moved else ()
-    return Shutter(between(keys, CAMERAS), moments)
+    rolling = getattr(getattr(scene, "cycles", None), "rolling_shutter_type", "NONE") != "NONE"
+    cameras = between(keys, CAMERAS)
+    return Shutter(cameras, moments, rolling and (moved or len(cameras) > 0))
 
 
 def _shows(update: Any) -> bool:

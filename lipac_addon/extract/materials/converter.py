@@ -10,6 +10,7 @@ import numpy as np
 
 from ....core.arrays import Records
 from ....core.scene.model import Shader, default_material
+from .ranges import most_of
 from .reader import MEAN, Reader, Value, grey
 from .textures import TextureTable
 from .trees import UNKNOWN, Tree, black, clear, mixed, spread, unsure
@@ -22,15 +23,21 @@ class Converter:
     """Makes records of the shader sockets of one inlined tree, as one view sees them."""
 
     def __init__(
-        self, textures: TextureTable, report: Callable[[str], None], reader: Reader, shaders: ModuleType
+        self,
+        textures: TextureTable,
+        report: Callable[[str], None],
+        reader: Reader,
+        shaders: ModuleType,
+        most: bool = True,
     ) -> None:
         """shaders: its functions `node_TYPE(converter, node)` make materials of nodes of the type of that name in lower
-        case; None is black."""
+        case; None is black. most: as of `MaterialTable`."""
         self.textures = textures
         self.report = report
         self.reader = reader
         self.shaders = shaders
         self._spread = 0.0  # roughness that stands for normals of the node that is converted which are not followed
+        self.most = most
 
     def output(self, node: Any) -> Tree:
         """What an output node shows."""
@@ -97,11 +104,18 @@ class Converter:
         return self.reader.map(lambda x, y: x * y, a, b)
 
     def emit(self, record: Records, color: Any, strength: Any) -> None:
-        """Emission, from sockets of its colour and its strength."""
+        """Emission, from sockets of its colour and its strength; where it is not known, the most that it may be."""
+        before = self.reader.doubts
         s = self.reader.value(strength)
-        if s.use is None and s.scalar == 0.0:
+        if self.reader.doubts == before and s.use is None and s.scalar == 0.0:
             return
-        self.color(record, "emission", self.product(self.reader.value(color), s))
+        between = self.reader.doubts
+        c = self.reader.value(color)
+        if self.most and self.reader.doubts > before:
+            s = grey(max(most_of(strength), 0.0)) if between > before else s
+            c = grey(max(most_of(color), 0.0)) if self.reader.doubts > between else c
+            record["unsure_emission"] = 1
+        self.color(record, "emission", self.product(c, s))
 
     def normal(self, record: Records, node: Any) -> None:
         """What is linked to a node's Normal: a tangent space normal map is followed."""

@@ -24,7 +24,7 @@ from .converter import Converter
 from .displacement import Relief, relief_of
 from .reader import Reader, View
 from .textures import TextureTable
-from .trees import Composed, Tree, black, clear, heads, key_of, leaves, mixed, unsure
+from .trees import UNKNOWN, Composed, Tree, black, clear, heads, key_of, leaves, mixed, spread, unsure
 
 LIGHT_LOOP = {
     "ShaderNodeLightAccumulation", "ShaderNodeLightEvaluation", "ShaderNodeLightInfo", "ShaderNodeShadowRaycast"
@@ -38,10 +38,11 @@ class MaterialTable:
     of others.
     """
 
-    def __init__(self, textures: TextureTable, displaced: bool = True) -> None:
-        """displaced: true displacement is allowed for, as `displacement` says; else it is left out."""
+    def __init__(self, textures: TextureTable, most: bool = True) -> None:
+        """most: what is not modelled is taken for the most that it may do, so that an analysis errs on the side of
+        seeing more: true displacement, emission, subsurface; else it is left out, or an average is there."""
         self.textures = textures
-        self.displaced = displaced
+        self.most = most
         self.records: list[Records] = []
         self.reliefs: list[Relief | None] = []
         self.approximated: dict[str, None] = {}
@@ -96,10 +97,10 @@ class MaterialTable:
         tree = inlined.node_tree
         if tree.get_output_node("CYCLES") is None:
             tree = material.node_tree  # only the active output is inlined, and that one may be EEVEE's
-        out = convert_tree(tree, self.textures, report)
+        out = convert_tree(tree, self.textures, report, self.most)
         if loops:  # the constants in its place may be shares of anything
             out = unsure(mixed(out, clear()))
-        relief = relief_of(tree) if material.displacement_method != "BUMP" and self.displaced else None
+        relief = relief_of(tree) if material.displacement_method != "BUMP" and self.most else None
         if relief is not None:
             far = "" if np.isfinite((relief.low, relief.high)).all() else ", as far as the object is large"
             report(
@@ -107,7 +108,9 @@ class MaterialTable:
             )
             out = unsure(mixed(out, clear()))
         elif _is_linked(tree, "Displacement"):
-            report("bump not rendered" if material.displacement_method == "BUMP" else "displacement not rendered")
+            bumps = material.displacement_method == "BUMP"
+            report("bump not rendered: half of what is reflected is spread" if bumps else "displacement not rendered")
+            out = spread(out, UNKNOWN) if bumps and self.most else out
         for record in (*leaves(out), *heads(out)):
             record["mis_emission"] = material.cycles.emission_sampling != "NONE"
         return out, relief
@@ -137,8 +140,8 @@ def _is_textured(record: Records) -> bool:
     return any(record[name] >= 0 for name in record.dtype.names or () if name.endswith("_texture"))
 
 
-def convert_tree(tree: Any, textures: TextureTable, report: Callable[[str], None]) -> Tree:
-    """The material of an inlined shader tree."""
+def convert_tree(tree: Any, textures: TextureTable, report: Callable[[str], None], most: bool = True) -> Tree:
+    """The material of an inlined shader tree. most: as of `MaterialTable`."""
     output = tree.get_output_node("CYCLES")
     if output is None:
         return black()
@@ -146,7 +149,7 @@ def convert_tree(tree: Any, textures: TextureTable, report: Callable[[str], None
     def seen_by(view: View) -> tuple[Tree, bool]:
         """What a view sees, and whether that depends on it."""
         reader = Reader(textures, report, view, nodes)
-        return Converter(textures, report, reader, shaders).output(output), reader.asked
+        return Converter(textures, report, reader, shaders, most).output(output), reader.asked
 
     out, asked = seen_by(View(0, False))
     if not asked:

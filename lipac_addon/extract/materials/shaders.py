@@ -8,7 +8,20 @@ from ....core.arrays import Records
 from ....core.scene.model import Shader, default_material
 from .converter import HALF, Converter
 from .reader import Value, grey
-from .trees import Composed, Tree, add_emission, black, both_textured, clear, is_clear, leaves, mixed, unsure
+from .trees import (
+    Composed,
+    Tree,
+    add_emission,
+    black,
+    both_textured,
+    clear,
+    doubled,
+    glowing_through,
+    is_clear,
+    leaves,
+    mixed,
+    unsure,
+)
 
 CONSTANT = {  # record field: socket of Principled, for inputs that the core takes untextured
     "ior": "IOR",
@@ -21,12 +34,12 @@ CONSTANT = {  # record field: socket of Principled, for inputs that the core tak
     "coat_tint": "Coat Tint",
 }
 UNSUPPORTED = {
-    "Subsurface Weight": "subsurface",
     "Sheen Weight": "sheen",
     "Anisotropic": "anisotropy",
     "Thin Film Thickness": "thin film",
     "Transmission Dispersion Scale": "dispersion",
 }
+PORTAL = "Ray Portal not rendered: what it shows from elsewhere is not known; nothing is culled"
 SCALARS = ("metallic", "roughness", "alpha", "transmission")
 # linear in `base_color`
 TINTED = {Shader.DIFFUSE, Shader.GLOSSY, Shader.GLASS, Shader.TRANSPARENT, Shader.REFRACTION, Shader.TRANSLUCENT}
@@ -46,7 +59,11 @@ def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
         value = converter.reader.constant(sockets[name])
         record[field] = value if record[field].shape else value[0]
     converter.emit(record, sockets["Emission Color"], sockets["Emission Strength"])
+    if record["unsure"] and converter.most:  # half of it shows, at an alpha or beside a transmission that nobody knows
+        doubled(record)
     converter.normal(record, node)
+    if sockets["Subsurface Weight"].is_linked or sockets["Subsurface Weight"].default_value != 0:
+        converter.report("subsurface not rendered: half of it comes out at the other side")
     for name, what in UNSUPPORTED.items():
         if name in sockets and (sockets[name].is_linked or sockets[name].default_value != 0):
             converter.report(f"{what} not rendered")
@@ -56,7 +73,14 @@ def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
         converter.report("thin wall not rendered")
         if record["transmission"] > 0:  # passes straight on, where ours bends
             return unsure(mixed(record, clear()))
-    return record
+    weight = sockets["Subsurface Weight"]
+    subsurface = HALF.scalar if weight.is_linked else min(weight.default_value, 1.0)
+    return glowing_through(record, subsurface) if subsurface > 0 and converter.most else record
+
+
+def node_subsurface_scattering(converter: Converter, node: Any) -> Tree:
+    record = converter.other(node)
+    return record if isinstance(record, Composed) or not converter.most else glowing_through(record, 1.0)
 
 
 def node_bsdf_diffuse(converter: Converter, node: Any) -> Records:
@@ -122,7 +146,7 @@ def node_eevee_specular(converter: Converter, node: Any) -> Records | None:
 
 
 def node_bsdf_ray_portal(converter: Converter, node: Any) -> Tree:
-    converter.report("Ray Portal rendered as transparent: what it shows from elsewhere is not known")
+    converter.report(PORTAL)
     return unsure(clear())
 
 
@@ -172,7 +196,7 @@ def node_mix_shader(converter: Converter, node: Any) -> Tree | None:
         factor = grey(t)
     a, b = (black() if r is None else r for r in (a, b))
     if doubtful:
-        return unsure(mixed(a, b))
+        return unsure(_halves(converter, a, b))
     if isinstance(a, Composed) or isinstance(b, Composed):
         return _mix(converter, a, b, factor)
     for one, other, swapped in ((a, b, False), (b, a, True)):
@@ -195,14 +219,19 @@ def node_mix_shader(converter: Converter, node: Any) -> Tree | None:
     return _mix(converter, a, b, factor)
 
 
+def _halves(converter: Converter, first: Tree, second: Tree) -> Tree:
+    """Either of two, where nobody knows how much of each shows."""
+    out = mixed(first, second)
+    return doubled(out) if converter.most else out
+
+
 def _complement(converter: Converter, factor: Value) -> Value:
     return grey(1 - factor.scalar) if factor.use is None else converter.reader.map(lambda x: 1 - x, factor)
 
 
-def _by_fresnel(converter: Converter, source: Any, a: Tree | None, b: Tree | None) -> Tree | None:
+def _by_fresnel(converter: Converter, source: Any, a: Tree | None, b: Tree | None) -> Tree:
     """The classic of older files: a coat of Glossy over Diffuse by Fresnel or Layer Weight is what Principled does."""
-    if a is None or b is None:
-        return b if a is None else a
+    a, b = (black() if r is None else r for r in (a, b))
     if not isinstance(a, Composed) and not isinstance(b, Composed):
         if a["shader"] == Shader.DIFFUSE and b["shader"] == Shader.GLOSSY:
             converter.report(f"Mix Shader by {source.bl_label} rendered as Principled")
@@ -221,4 +250,4 @@ def _by_fresnel(converter: Converter, source: Any, a: Tree | None, b: Tree | Non
             out["shader"] = Shader.GLASS
             return out
     converter.report(f"Mix Shader by {source.bl_label}: half of each, at any angle")
-    return unsure(mixed(a, b))
+    return unsure(_halves(converter, a, b))

@@ -49,6 +49,15 @@ def unsure(tree: Tree) -> Tree:
     return tree
 
 
+def doubled(tree: Tree) -> Tree:
+    """The material, where half of the paths see it and nobody knows how many do: its emission is the most that it may
+    be."""
+    for leaf in leaves(tree):
+        leaf["emission"] *= 2
+        leaf["unsure_emission"] |= bool(leaf["emission"].any())
+    return tree
+
+
 def key_of(tree: Tree) -> bytes:
     """Tells materials apart."""
     return (
@@ -79,6 +88,16 @@ def copied(tree: Tree) -> Tree:
     if isinstance(tree, Composed):
         return Composed(tree.head.copy(), copied(tree.first), copied(tree.second))
     return tree.copy()
+
+
+def glowing_through(record: Records, share: float) -> Tree:
+    """A surface of which light goes in and comes out elsewhere: half of that share of the paths come out at the other
+    side."""
+    through = record.copy()
+    through["shader"] = Shader.TRANSLUCENT
+    out = mixed(record, through)
+    out.head["alpha"] = share / 2
+    return out
 
 
 def black() -> Records:
@@ -113,5 +132,6 @@ def _clash(a: Records, b: Records) -> bool:
 
 def add_emission(record: Records, emitter: Records) -> None:
     record["emission"] += emitter["emission"]
+    record["unsure_emission"] |= emitter["unsure_emission"]
     if emitter["emission"].any():
         record["emission_texture"] = emitter["emission_texture"]

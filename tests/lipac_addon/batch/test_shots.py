@@ -409,7 +409,7 @@ def test_the_last_frame_keeps_nothing_to_compare_it_with(boxes: Any, tmp_path: P
     assert session._extractor is not None
     found = [
         node.geometry.columns
-        for node in session._extractor._reader.graph._order
+        for node in session._extractor._reader.graph.order
         if node.geometry is not None and len(node.geometry.columns)
     ]
     columns = [weakref.ref(array) for array in found]

@@ -105,3 +105,15 @@ def test_framing_camera_in_blender() -> None:
     np.testing.assert_allclose(camera.to_world, frame_camera(bounds, film).to_world, atol=1e-5)
     corners = np.array(list(itertools.product(*bounds.T)))
     assert (np.abs(project(camera, corners) - 0.5) < 0.5).all()
+
+
+def test_far_from_the_origin_blender_rounds_places() -> None:
+    """Said where that is more than a pixel, and not before."""
+    item = add("camera", bpy.data.cameras.new("camera"), location=(0, -5, 0), rotation=(np.pi / 2, 0, 0))
+    thing = add("thing", cube())
+    scene = bpy.context.scene
+    scene.camera = item
+    for x, said in ((0.0, False), (1e4, False), (1e7, True)):
+        item.location.x = thing.location.x = x
+        lines = [line for line in extract_frame(scene).warnings if "rounds places" in line]
+        assert bool(lines) == said

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lipac.core.arrays import Records
+from lipac.core.scene.known_light import known_light
 from lipac.core.scene.model import AreaShape, LightKind, RayType
 from lipac.lipac_addon.extract import Extraction, extract_frame
 
@@ -68,9 +69,9 @@ def test_temperature_nodes_and_visibility() -> None:
     assert r["visibility"] & (1 << RayType.CAMERA)
 
 
-def test_half_the_light_passes_what_may_not_block_it() -> None:
-    """Light linking that names blockers: nobody here knows which are, so half of the light has shadows and half has
-    none, at each place of the lamp."""
+def test_light_passes_what_may_not_block_it() -> None:
+    """Light linking that names blockers: nobody here knows which are, so the light is there with shadows and without,
+    at each place of the lamp, and changes are relative to neither."""
     held, blockers = collection("held", linked=False), collection("blockers", linked=False)
     item = add("lamp", lamp("POINT", energy=8.0), held, location=(0, 0, 5))
     item.light_linking.blocker_collection = blockers
@@ -81,10 +82,59 @@ def test_half_the_light_passes_what_may_not_block_it() -> None:
     lights, origin = extraction.scene.lights, extraction.scene.origin
     np.testing.assert_allclose(lights["position"] + origin, [[0, 0, 5], [1, 0, 5]] * 2, atol=1e-6)
     assert lights["cast_shadow"].tolist() == [0, 0, 1, 1]
-    np.testing.assert_allclose(lights["power"], 4.0)
+    np.testing.assert_allclose(lights["power"], 8.0)
+    assert lights["unsure"].all()
     assert extraction.scene.approximated == (
-        "light POINT: shadow linking not rendered: half of the light passes everything",
+        "light POINT: shadow linking not rendered: it is there twice, once without shadows",
     )
+
+
+@pytest.mark.parametrize("linking", ["receiver_collection", "blocker_collection"])
+def test_what_links_light_is_none_that_changes_are_relative_to(linking: str) -> None:
+    """A lamp, and a mesh that glows; others of the same kind are as sure as ever, and so is a mesh that glows not."""
+    plain, linked = add("plain", lamp("POINT")), add("linked", lamp("SPOT"))
+    glowing, other, dull = (add(name, cube(name)) for name in ("glowing", "other", "dull"))
+    for item, strength in ((glowing, 2.0), (other, 3.0), (dull, 0.0)):
+        material = bpy.data.materials.new(item.name)
+        material.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = strength
+        item.data.materials.append(material)
+    for item in (linked, glowing, dull):
+        setattr(item.light_linking, linking, collection("some", linked=False))
+    scene = extracted().scene
+    known = known_light(scene)
+    assert known is not None
+    assert plain.type == "LIGHT"
+    assert known.lights["kind"].tolist() == [LightKind.POINT]
+    assert sorted(scene.materials["emission"][:, 0].tolist()) == [0.0, 0.0, 2.0, 3.0]  # with the floor's
+    assert sorted(known.materials["emission"][:, 0].tolist()) == [0.0, 0.0, 0.0, 3.0]
+    assert [line for line in scene.approximated if line.startswith("object")] == [
+        "object glowing: light linking of its emission not rendered: everything is lit"
+    ]
+
+
+def test_a_strength_by_nodes_is_at_most_what_they_may_give() -> None:
+    """A lamp that shines by a pattern: all of it counts, and nothing is relative to it."""
+    data = lamp("POINT", energy=2.0)
+    tree = data.node_tree
+    if tree is None:
+        pytest.skip("this Blender makes lights without a node tree")
+    emission = next((n for n in tree.nodes if n.type == "EMISSION"), None) or tree.nodes.new("ShaderNodeEmission")
+    checker, scaled = tree.nodes.new("ShaderNodeTexChecker"), tree.nodes.new("ShaderNodeMath")
+    scaled.operation, scaled.inputs[1].default_value = "MULTIPLY", 5.0
+    tree.links.new(checker.outputs[1], scaled.inputs[0])
+    tree.links.new(scaled.outputs[0], emission.inputs["Strength"])
+    add("lamp", data)
+    r = one()
+    np.testing.assert_allclose(r["power"], 10.0)
+    assert r["unsure"] == 1
+
+
+def test_a_lamp_that_takes_light_away() -> None:
+    """Counts as if it gave as much, and what changes are relative to is less by that."""
+    add("lamp", lamp("POINT", energy=-2.0))
+    r = one()
+    np.testing.assert_allclose(r["power"], 2.0)
+    assert r["unsure"] == 2
 
 
 def test_a_light_falloff_keeps_its_strength() -> None:

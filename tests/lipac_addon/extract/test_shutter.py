@@ -148,3 +148,15 @@ def test_what_a_door_shows_while_the_shutter_is_open_stays(exposed: Any, tmp_pat
     kept = {states.names[k] for k, state in zip(states.keys["object"], states.state, strict=True) if state}
     assert "behind" in kept
     assert "hidden" not in kept
+
+
+def test_a_rolling_shutter_is_said(exposed: Any) -> None:
+    """Rows have moments of their own, and paths the whole exposure: said where something moves."""
+    for rolling, moves, said in (("NONE", True, False), ("TOP", False, False), ("TOP", True, True)):
+        exposed.cycles.rolling_shutter_type = rolling
+        if moves:
+            animate(bpy.data.objects["cube"], "location", 2, (0, -1.0), (10, 1.0))
+        else:
+            bpy.data.objects["cube"].animation_data_clear()
+        lines = [line for line in extract_frame(exposed).scene.approximated if line.startswith("rolling")]
+        assert bool(lines) == said

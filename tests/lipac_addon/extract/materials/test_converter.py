@@ -124,11 +124,11 @@ def test_principled_constants() -> None:
 def test_principled_extras_are_reported() -> None:
     """Subsurface and the like are named."""
     t = Tree()
-    _, _, lines = t.record(
+    _, _, lines = t.parts(
         t.new("ShaderNodeBsdfPrincipled", {"Subsurface Weight": 0.5, "Sheen Weight": 1.0, "Anisotropic": 0.2})
     )
     assert lines == [
-        "material m: subsurface not rendered",
+        "material m: subsurface not rendered: half of it comes out at the other side",
         "material m: sheen not rendered",
         "material m: anisotropy not rendered",
     ]
@@ -356,6 +356,58 @@ def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
         assert (record[field], record["unsure"]) == (0.5, 1)
     (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Roughness": value}))
     assert (record["unsure"], len(lines)) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "output", "most"),
+    [
+        ("ObjectInfo", "Random", 1.0), ("TexNoise", 0, 1.0), ("LayerWeight", "Facing", 1.0), ("Attribute", 2, 100.0),
+        ("LightPath", "Ray Length", 100.0),
+    ],
+)
+def test_emission_that_is_not_known_is_the_most_that_it_may_be(kind: str, output: str | int, most: float) -> None:
+    """A strength or a colour by what the tracer does not evaluate, or behind a share that it does not: the most, marked
+    as unsure; emission beside a colour that is not known is sure."""
+    t = Tree()
+    source = t.new(f"ShaderNode{kind}").outputs[output]
+    scaled = t.new("ShaderNodeMath", {0: source, 1: 8.0}, operation="MULTIPLY").outputs[0]
+    for node in (
+        t.new("ShaderNodeEmission", {"Color": (1, 0.5, 0.25, 1), "Strength": scaled}),
+        t.new("ShaderNodeBsdfPrincipled", {"Emission Color": (1, 0.5, 0.25, 1), "Emission Strength": scaled}),
+    ):
+        record, _, lines = t.record(node)
+        strength = 8 * most if most < 100 else most
+        np.testing.assert_allclose(record["emission"], strength * np.array([1, 0.5, 0.25]))
+        assert (record["unsure_emission"], len(lines)) == (1, 1)
+    record, _, _ = t.record(t.new("ShaderNodeEmission", {"Color": source, "Strength": 3.0}))
+    np.testing.assert_allclose(record["emission"], 3 * (most if most < 100 else 10.0))
+    assert record["unsure_emission"] == 1
+    glow = t.new("ShaderNodeEmission", {"Strength": 3.0}).outputs[0]
+    _, *parts = t.parts(t.new("ShaderNodeMixShader", {0: source, 1: glow}))[0]
+    assert [(part["emission"][0], part["unsure_emission"]) for part in parts] == [(6.0, 1), (0.0, 0)]
+    record, _, _ = t.record(t.new("ShaderNodeBsdfPrincipled", {"Base Color": source, "Emission Strength": 1.0}))
+    assert (record["emission"][0], record["unsure_emission"]) == (1.0, 0)
+
+
+@pytest.mark.parametrize("kind", ["ShaderNodeBsdfPrincipled", "ShaderNodeSubsurfaceScattering"])
+def test_light_goes_through_subsurface(kind: str) -> None:
+    """Half of its share comes out at the other side: a flame within wax is seen."""
+    t = Tree()
+    weight = {"Subsurface Weight": 0.8} if kind.endswith("Principled") else {}
+    (head, outside, through), _, lines = t.parts(t.new(kind, weight))
+    np.testing.assert_allclose(head["alpha"], 0.4 if weight else 0.5)
+    assert (outside["shader"] != Shader.TRANSLUCENT, through["shader"]) == (True, Shader.TRANSLUCENT)
+    np.testing.assert_allclose(through["base_color"], outside["base_color"])
+    assert len(lines) == 1
+
+
+def test_where_a_portal_leads_is_not_known() -> None:
+    """Nothing is culled, and that is said."""
+    t = Tree()
+    ob = add("cube", cube())
+    ob.data.materials.append(t.material)
+    t.parts(t.new("ShaderNodeBsdfRayPortal"))
+    assert extract_frame(bpy.context.scene).scene.whole.startswith("material m: Ray Portal")
 
 
 def test_alpha_of_an_image_elsewhere_is_not_known() -> None:

@@ -135,7 +135,7 @@ def test_boxes_and_meshes_of_displaced_objects(rock: Tree) -> None:
         "material m: displacement taken for two surfaces, at its lowest and its highest: half of the rays pass each",
     )
     for method, whole, line in (
-        ("BUMP", True, "material m: bump not rendered"),
+        ("BUMP", True, "material m: bump not rendered: half of what is reflected is spread"),
         ("BOTH", False, "material m: displacement not rendered"),
     ):
         rock.material.displacement_method = method

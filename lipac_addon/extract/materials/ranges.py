@@ -1,0 +1,199 @@
+"""Within what the values of shader sockets lie, by interval arithmetic over an inlined tree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+Interval = tuple[float, float]
+UNKNOWN: Interval = (-np.inf, np.inf)
+UNIT, SIGNED = (0.0, 1.0), (-1.0, 1.0)
+# What the values of nodes lie within. Noise that is normalised is 0 to 1 but for rare peaks.
+RANGES = {
+    **dict.fromkeys(
+        (
+            "TEX_WAVE", "TEX_GRADIENT", "TEX_MAGIC", "TEX_CHECKER", "TEX_BRICK", "TEX_WHITE_NOISE", "RGBTOBW", "INVERT",
+            "CLAMP"
+        ),
+        UNIT,
+    ),
+    **dict.fromkeys(("FRESNEL", "LAYER_WEIGHT", "AMBIENT_OCCLUSION", "WIREFRAME"), UNIT),
+}
+# of outputs whose range is their own
+OUTPUTS = {
+    **{("OBJECT_INFO", name): UNIT for name in ("Random", "Alpha", "Color")},
+    **{(kind, "Random"): UNIT for kind in ("PARTICLE_INFO", "HAIR_INFO", "CURVES_INFO", "POINT_INFO")},
+    **{("HAIR_INFO", name): UNIT for name in ("Is Strand", "Intercept")},
+    **{("NEW_GEOMETRY", name): UNIT for name in ("Backfacing", "Pointiness", "Random Per Island", "Parametric")},
+    **{("NEW_GEOMETRY", name): SIGNED for name in ("Normal", "True Normal", "Tangent", "Incoming")},
+    **{("TEX_COORD", name): UNIT for name in ("Generated", "Window")},
+    **{("TEX_COORD", name): SIGNED for name in ("Normal", "Reflection")},
+}
+MOST = 10.0, 100.0  # what a colour and what a number is taken to be at most, where nothing says what bounds it
+
+
+def most_of(socket: Any) -> float:
+    """The most that the value of a socket of emission may be."""
+    _, high = range_of(socket)
+    return high if np.isfinite(high) else MOST[socket.type == "VALUE"]
+
+
+def total(a: Interval, b: Interval) -> Interval:
+    return a[0] + b[0], a[1] + b[1]
+
+
+def negative(a: Interval) -> Interval:
+    return -a[1], -a[0]
+
+
+def product(a: Interval, b: Interval) -> Interval:
+    with np.errstate(invalid="ignore"):
+        # 0 x inf is 0 here: an end that is 0 stays so whatever it is multiplied by
+        ends = np.nan_to_num(np.outer(a, b), nan=0.0, posinf=np.inf, neginf=-np.inf)
+    return float(ends.min()), float(ends.max())
+
+
+def _hull(*parts: Interval) -> Interval:
+    return min(low for low, _ in parts), max(high for _, high in parts)
+
+
+def range_of(socket: Any) -> Interval:
+    """Within what the value of a socket lies; of a vector or colour, each of its components."""
+    if socket.is_linked:
+        link = socket.links[0]
+        return _output(link.from_node, link.from_socket)
+    value = socket.default_value
+    numbers = [float(value)] if isinstance(value, (int, float)) else [float(v) for v in value[:3]]
+    return min(numbers), max(numbers)
+
+
+def _output(node: Any, socket: Any) -> Interval:
+    method: Callable[[Any], Interval] | None = _NODES.get(node.type)
+    if socket.name.startswith("Is "):  # of Light Path
+        return UNIT
+    if socket.name == "Alpha":
+        return UNIT
+    if method is not None:
+        return method(node)
+    if node.type in {"RGB", "VALUE"}:
+        value = socket.default_value
+        numbers = [float(value)] if isinstance(value, (int, float)) else [float(v) for v in value[:3]]
+        return min(numbers), max(numbers)
+    return OUTPUTS.get((node.type, socket.name), RANGES.get(node.type, UNKNOWN))
+
+
+def _noise(node: Any) -> Interval:
+    return UNIT if node.normalize and node.noise_type == "FBM" else UNKNOWN
+
+
+def _image(node: Any) -> Interval:
+    image = node.image
+    if image is None or not image.is_float:
+        return UNIT
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    return (float(np.nanmin(pixels)), float(np.nanmax(pixels))) if len(pixels) else UNIT
+
+
+def _math(node: Any) -> Interval:
+    if node.use_clamp:
+        return UNIT
+    a, *more = [range_of(socket) for socket in node.inputs]
+    b = more[0] if more else (0.0, 0.0)
+    operations: dict[str, Callable[[], Interval]] = {
+        "ADD": lambda: total(a, b),
+        "SUBTRACT": lambda: total(a, negative(b)),
+        "MULTIPLY": lambda: product(a, b),
+        "MULTIPLY_ADD": lambda: total(product(a, b), more[1]),
+        "DIVIDE": lambda: product(a, (1 / b[1], 1 / b[0])) if b[0] > 0 or b[1] < 0 else UNKNOWN,
+        "MINIMUM": lambda: (min(a[0], b[0]), min(a[1], b[1])),
+        "MAXIMUM": lambda: (max(a[0], b[0]), max(a[1], b[1])),
+        "ABSOLUTE": lambda: (max(a[0], -a[1], 0.0), max(-a[0], a[1])),
+        "POWER": lambda: UNIT if a[0] >= 0 and a[1] <= 1 and b[0] >= 0 else UNKNOWN,
+        **{name: lambda: UNIT for name in ("LESS_THAN", "GREATER_THAN", "COMPARE", "FRACT")},
+        **{name: lambda: (-1.0, 1.0) for name in ("SINE", "COSINE", "SIGN")},
+    }
+    return operations.get(node.operation, lambda: UNKNOWN)()
+
+
+def _vector_math(node: Any) -> Interval:
+    a, b = range_of(node.inputs[0]), range_of(node.inputs[3] if node.operation == "SCALE" else node.inputs[1])
+    operations: dict[str, Callable[[], Interval]] = {
+        "ADD": lambda: total(a, b),
+        "SUBTRACT": lambda: total(a, negative(b)),
+        "MULTIPLY": lambda: product(a, b),
+        "SCALE": lambda: product(a, b),
+        "NORMALIZE": lambda: (-1.0, 1.0),
+    }
+    return operations.get(node.operation, lambda: UNKNOWN)()
+
+
+def _map_range(node: Any) -> Interval:
+    if node.data_type != "FLOAT":
+        return UNKNOWN
+    sockets = {socket.identifier: socket for socket in node.inputs}
+    ends = _hull(range_of(sockets["To Min"]), range_of(sockets["To Max"]))
+    if node.clamp or node.interpolation_type in {"SMOOTHSTEP", "SMOOTHERSTEP"}:
+        return ends
+    value, start, end = (range_of(sockets[name]) for name in ("Value", "From Min", "From Max"))
+    inside = (
+        start[0] == start[1]
+        and end[0] == end[1]
+        and min(start[0], end[0]) <= value[0]
+        and value[1] <= max(start[0], end[0])
+    )
+    return ends if inside else UNKNOWN
+
+
+def _mix(node: Any) -> Interval:
+    name = {"FLOAT": "Float", "RGBA": "Color", "VECTOR": "Vector"}.get(node.data_type)
+    if name is None or not node.clamp_factor:
+        return UNKNOWN
+    sockets = {socket.identifier: socket for socket in node.inputs}
+    a, b = range_of(sockets[f"A_{name}"]), range_of(sockets[f"B_{name}"])
+    return _blend(node.blend_type if node.data_type == "RGBA" else "MIX", a, b)
+
+
+def _blend(kind: str, a: Interval, b: Interval) -> Interval:
+    """Of any share of the second."""
+    results = {
+        "MIX": b,
+        "ADD": total(a, b),
+        "SUBTRACT": total(a, negative(b)),
+        "MULTIPLY": product(a, b),
+        "LIGHTEN": _hull(a, b),
+        "DARKEN": _hull(a, b),
+    }
+    return _hull(a, results[kind]) if kind in results else UNKNOWN
+
+
+def _ramp(node: Any) -> Interval:
+    table = np.array([node.color_ramp.evaluate(k / 255)[:3] for k in range(256)])
+    return float(table.min()), float(table.max())
+
+
+def _combined(node: Any) -> Interval:
+    if node.mode == "RGB":
+        return _hull(*(range_of(socket) for socket in node.inputs))
+    return _hull((0.0, 0.0), range_of(node.inputs[2])) if node.mode == "HSV" else UNKNOWN  # no channel is above V
+
+
+_NODES: dict[str, Callable[[Any], Interval]] = {
+    "TEX_NOISE": _noise,
+    "TEX_VORONOI": lambda node: UNIT if node.normalize else UNKNOWN,
+    "TEX_IMAGE": _image,
+    "MATH": _math,
+    "VECT_MATH": _vector_math,
+    "MAP_RANGE": _map_range,
+    "CLAMP": lambda node: _hull(range_of(node.inputs["Min"]), range_of(node.inputs["Max"])),
+    "VALTORGB": _ramp,
+    "MIX": _mix,
+    "MIX_RGB": lambda node: _blend(node.blend_type, range_of(node.inputs[1]), range_of(node.inputs[2])),
+    "RGBTOBW": lambda node: range_of(node.inputs[0]),
+    "SEPARATE_COLOR": lambda node: range_of(node.inputs[0]) if node.mode == "RGB" else UNKNOWN,
+    "SEPXYZ": lambda node: range_of(node.inputs[0]),
+    "COMBXYZ": lambda node: _hull(*(range_of(socket) for socket in node.inputs)),
+    "COMBINE_COLOR": _combined,
+}

@@ -1,0 +1,70 @@
+"""Light of which nobody knows whether it is there: what it shades counts, and nothing is judged against it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import CullOptions
+from lipac.core.error_budget.budget import Budget
+from lipac.core.evaluation.judge import Judge
+from lipac.core.scene import model as s
+from lipac.core.scene.known_light import known_light
+
+from .. import scenes
+from .test_budget_cases import CAMERA, facing, material, sun
+
+SIZE = (96, 54)
+BUDGET = Budget(0.02, 0.1)
+
+
+def roofed(unsure: int, glow: float = 0.0) -> s.Scene:
+    """A ground under many small roofs out of view, which a weak sky lights, and from aside a strong sun or a
+    glowing wall."""
+    rng = np.random.default_rng(0)
+    places = rng.uniform((-4, 0, 3), (4, 8, 4), (120, 3)).tolist()
+    roofs = [(1, scenes.placed((x, y, z), (0.5, 0.5, 0.01)), 1) for x, y, z in places]
+    panel = [(0, facing((0, 1, 0), (1, 0, 0), (-9, 4, 1.5), 20, 3), 2)] if glow else []
+    materials = [material(), material(base_color=0.02), material(base_color=0.0, emission=(glow,) * 3)]
+    materials[2]["unsure_emission"] = unsure
+    light = sun((1, 0, 0.6)) if not glow else None
+    scene = scenes.build(
+        [scenes.quad(), scenes.cube()],
+        [(0, scenes.placed((0, 0, 0), 80.0), 0), *roofs, *panel],
+        materials,
+        CAMERA,
+        light,
+        (0.01, 0.01, 0.01),
+        SIZE,
+        s.PathLimits(total=1, diffuse=1),
+    )
+    scene.lights["unsure"] = unsure
+    return scene
+
+
+@pytest.mark.parametrize("glow", [0.0, 20.0], ids=["lamp", "emission"])
+def test_the_budget_holds_without_it_as_with_it(glow: float) -> None:
+    """By 128 fresh paths per pixel through the scene with that light, and without. Were it sure, the scene without it
+    would be far off."""
+    scene = roofed(1, glow)
+    dark = known_light(scene)
+    assert dark is not None
+    options = CullOptions(width=SIZE[0], max_error=BUDGET)
+    result = analyze(scene, options)
+    for judged in (scene, dark):
+        change = Judge(judged, 128).change(result.active)
+        assert change.mean - 2 * change.mean_deviation <= BUDGET.mean
+        assert change.worst - 2 * change.worst_deviation <= BUDGET.worst
+    sure = roofed(0, glow)
+    assert known_light(sure) is None
+    change = Judge(dark, 128).change(analyze(sure, options).active)
+    assert change.mean - 2 * change.mean_deviation > BUDGET.mean
+
+
+def test_a_reason_to_keep_all() -> None:
+    """Where light paths cannot say what a picture shows, all stays, and the reason is a warning."""
+    result = analyze(dataclasses.replace(roofed(0), whole="why"), CullOptions(width=SIZE[0], max_error=BUDGET))
+    assert (result.active.all(), result.warnings) == (True, ("why",))
