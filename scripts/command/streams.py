@@ -6,9 +6,10 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from ...core.progress import Progress, Terminal, silent
+if TYPE_CHECKING:
+    from ...core.progress import Progress
 
 
 def repair() -> None:
@@ -56,6 +57,8 @@ def _drop(stream: TextIO) -> None:
 @contextmanager
 def progress_of(quiet: bool) -> Iterator[Progress]:
     """Progress on stderr: on a copy of it, which stays ours while Blender's chatter is muted."""
+    from ...core.progress import Terminal, silent
+
     if quiet:
         yield silent
         return

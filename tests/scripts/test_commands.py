@@ -292,7 +292,7 @@ def test_scene_is_missing(tmp_path):
 
 
 def test_help_is_quick_and_needs_no_blender():
-    heavy = "{'bpy', 'numba', 'numpy'} & set(sys.modules)"
+    heavy = "{'bpy', 'numba', 'numpy', 'lipac.core'} & set(sys.modules)"
     code = f"import sys; from lipac.scripts.lipac import main; main(['--help']); sys.exit(bool({heavy}))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
     assert main([]) == 2
