@@ -24,6 +24,7 @@ from ..feedback.tiles import DARK, TILES, marks, tiles_of
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, RayType, Scene
 from ..tracing.lights.lights import brightest
+from ..tracing.seen_emitters import polished
 from .certificate import MORE, STEEPEST, Certificate, Verdict
 from .loop import Loop
 from .measurement import Measurement, Traced
@@ -325,6 +326,8 @@ def _evidence(loop: Loop, measured: Measurement, budget: Budget) -> I64:
     break the budget of a typical tile, and paths meet such emitters there, those alone are evidence.
     """
     met, ids = measured.paths_met(), measured.tlas.ids
+    if not polished(loop.scene):
+        return met
     rows = measured.tlas.entry_of(len(loop.activation))[measured.emissive]
     rows = rows[rows >= 0]
     if not len(rows):

@@ -43,6 +43,7 @@ from .tracer import Prepared
 SMALL = 12.0  # pixels: of an emitter larger than this, paths find what it is worth
 POINTS = (16, 256)  # on each emitter, at least and at most
 RAYS = 1 << 19  # in all, where many emitters are small
+POLISHED = 0.2  # roughness below which a lobe is narrower than most that light sampling finds
 PASSES = 64  # surfaces that a ray looks through at most
 _SURE = np.float32(0.999)  # of the way to a point on an emitter: what a ray meets behind that is the emitter
 _BEYOND = np.float32(1 + 1e-5)  # times the distance of a surface that is looked through: where the ray goes on
@@ -111,6 +112,15 @@ def seen_emitters(prepared: Prepared, tlas: Tlas, size: tuple[int, int], seed: i
     sums = np.stack([np.bincount(number, color[..., c][seen], len(named)) for c in range(3)], axis=1)
     tiles = (named % TILES).astype(np.int32)
     return SeenEmitters(rows[named // TILES], tiles, sums / np.maximum(pixels, 1)[tiles][:, None])
+
+
+def polished(scene: Scene) -> bool:
+    """Whether some surface may be so smooth that light sampling hardly finds what it reflects or refracts."""
+    m = scene.materials
+    base = (m["roughness"] < POLISHED) | (m["roughness_texture"] >= 0)
+    coat = (m["coat"] > 0) & (m["coat_roughness"] < POLISHED)
+    shaders = [Shader.PRINCIPLED, Shader.GLOSSY, Shader.GLASS, Shader.REFRACTION]
+    return bool((np.isin(m["shader"], shaders) & (base | coat)).any())
 
 
 def _opaque(scene: Scene) -> np.ndarray:

@@ -89,6 +89,7 @@ CONSTANTS = {
     "MAX_VERTICES": path_state.MAX_VERTICES,
     "EVIDENCE": units.EVIDENCE,
     "SMALL": seen_emitters.SMALL,
+    "POLISHED": seen_emitters.POLISHED,
     "UNASKED": activation.UNASKED,
     "PRICELESS": analysis.PRICELESS,
     "TILE_PATHS": options.TILE_PATHS,

@@ -11,7 +11,7 @@ from lipac.core.accel.blas import BlasCache
 from lipac.core.accel.tlas import Tlas
 from lipac.core.feedback.tiles import TILES, tile_means
 from lipac.core.scene import model as s
-from lipac.core.tracing.seen_emitters import POINTS, SMALL, SeenEmitters, seen_emitters
+from lipac.core.tracing.seen_emitters import POINTS, SMALL, SeenEmitters, polished, seen_emitters
 from lipac.core.tracing.tracer import prepare, trace
 
 from .. import scenes
@@ -115,6 +115,24 @@ def test_paths_from_the_camera_find_the_same_in_every_tile() -> None:
 def test_what_is_surely_opaque_hides_a_speck_and_glass_does_not(before: int, visible: bool) -> None:
     built = scene([(0, facing(0, 0), GLOW), (0, facing(0, 0, -1, 0.5), before)])
     assert bool(len(seen(built))) == visible
+
+
+@pytest.mark.parametrize(
+    ("smooth", "expected"),
+    [
+        (material(s.Shader.PRINCIPLED, roughness=0.5), False),
+        (material(s.Shader.PRINCIPLED, roughness=0.05), True),
+        (material(s.Shader.PRINCIPLED, roughness=0.5, roughness_texture=0), True),
+        (material(s.Shader.PRINCIPLED, roughness=0.5, coat=1.0, coat_roughness=0.03), True),
+        (material(s.Shader.DIFFUSE, roughness=0.0), False),
+        (material(s.Shader.GLASS, roughness=0.0), True),
+    ],
+)
+def test_what_may_show_the_image_of_a_speck(smooth: s.Records, expected: bool) -> None:
+    built = scene([])
+    materials = built.materials.copy()
+    materials[WALL], materials[GLASS] = smooth, material(s.Shader.DIFFUSE)
+    assert polished(dataclasses.replace(built, materials=materials)) == expected
 
 
 def test_a_speck_out_of_the_picture_and_one_as_large_as_a_tile_are_left_to_paths() -> None:
