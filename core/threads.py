@@ -1,4 +1,5 @@
-"""Threads for kernels that run without Python's lock: how many are worth while, and those that wait for work."""
+"""Threads for kernels that run without Python's lock: how many there may be, how many are worth while, and those that
+wait for work."""
 
 from __future__ import annotations
 
@@ -10,11 +11,20 @@ _pools: dict[int, ThreadPoolExecutor] = {}  # by number of threads: starting som
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pools.clear)  # whose threads are the parent's
 _WORTH_WHILE = 1 << 15  # items of a cheap kernel under which one thread is as fast
+_most = 0  # threads at a time that were asked for, 0: no limit
+
+
+def limit(threads: int) -> None:
+    """From now on no kernel of this process takes more than so many threads at a time; 0: as many as there are
+    processors."""
+    global _most  # noqa: PLW0603 - a process has one such number, as it has one set of processors
+    _most = threads
 
 
 def processors() -> int:
-    """Processors that this process may run on: of a machine whose others are another's, those alone."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Processors that this process may use: of a machine whose others are another's, those alone; within `limit`."""
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(_most or there, there)
 
 
 def start(work: Callable[[], None], calls: int, threads: int = 0) -> set[Future[None]]:

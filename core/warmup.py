@@ -16,20 +16,21 @@ from numba.core import event
 
 from .jit.kernel_cache import kept
 from .progress import Progress, clock
+from .threads import processors
 
 KERNELS = 120  # kept when the path tracing kernel, which unites most of them, is all that is left to compile, about
 LAST = 0.15  # of the whole time, for that one
 
 
 def load_ahead() -> None:
-    """Load the engine and its kernels in a thread of their own, where they were compiled before: whoever needs them
-    finds them there, or waits for the rest.
+    """Load the engine and its kernels in a thread of their own, where they were compiled before and more than one
+    thread may run: whoever needs them finds them there, or waits for the rest.
 
     Worth while before work that leaves Python alone, such as Blender opening a file. It does nothing that would not be
     done later.
     """
     folder = os.environ.get("NUMBA_CACHE_DIR")  # by kernel_cache
-    if not folder or not any(Path(folder).glob("*/tile_kernel.trace_tiles-*.nbi")):
+    if processors() == 1 or not folder or not any(Path(folder).glob("*/tile_kernel.trace_tiles-*.nbi")):
         return
 
     def load() -> None:

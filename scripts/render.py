@@ -35,7 +35,8 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--device", type=device, metavar="KIND[:CARD,...]", help=where)
     ahead = (
-        "analyse the next frames in a process of its own while one is rendered (default: where that is not on the CPU)"
+        "analyse in a process of its own, the next frames while one is rendered, which then takes less memory "
+        "(default: several frames, where rendering is not on the CPU)"
     )
     parser.add_argument("--ahead", action=BooleanOptionalAction, help=ahead)
     tiles = (

@@ -25,6 +25,7 @@ from numba import cfunc, njit, types
 from ..errors import InputError
 from ..jit import healing as _healing  # noqa: F401
 from ..jit.atomics import atomic_add_int64, pointer
+from ..threads import processors
 
 # Indices into a ray: float32[RAY] (RTCRayHit, embree4/rtcore_ray.h); integers are read through a uint32 view of the
 # same memory.
@@ -232,6 +233,7 @@ _shared_lock = threading.Lock()
 
 def shared_device(threads: int = 0) -> Device:
     """The process's device for this many builder threads, made on first use."""
+    threads = threads or processors()
     with _shared_lock:
         if threads not in _shared:
             _shared[threads] = Device(threads)

@@ -141,7 +141,7 @@ def by_memory(
     bound, ids = budget, measured.tlas.ids
     while not _fits(loop, verdict.keep, limit):
         if bound.mean > WIDEST:
-            _check_memory(loop, _kept(loop, units, np.isfinite(units.worth).all(axis=1), ids), limit)
+            _check_memory(loop, kept_of(loop, units, np.isfinite(units.worth).all(axis=1), ids), limit)
         bound = Budget(*(WIDER * max(x, LEAST_BOUND) for x in (bound.mean, bound.worst)))
         measured, search, steps, traced = _searched(loop, measured, bound, silent)
         searched, ids, units = searched + traced, measured.tlas.ids, search.units
@@ -150,12 +150,12 @@ def by_memory(
             sets.append(np.isfinite(units.worth).all(axis=1))
 
         def fits(cull: np.ndarray, units: Units = units, ids: I32 = ids) -> bool:
-            return _fits(loop, _kept(loop, units, cull, ids), limit)
+            return _fits(loop, kept_of(loop, units, cull, ids), limit)
 
         cull = least_that_fits(sets, units, search.savings, fits)
         if cull is not None:
             judge = Certificate(loop, measured.next_sample, measured.samples, bound)
-            verdict = judge.verdict(cull, _kept(loop, units, cull, ids), part(progress, 0.5, 1.0))
+            verdict = judge.verdict(cull, kept_of(loop, units, cull, ids), part(progress, 0.5, 1.0))
     result = _decided(loop, measured, units, steps, verdict, searched)
     return replace(result, stats=result.stats | {"memory_limit_bytes": limit})
 
@@ -200,7 +200,7 @@ def _judged(
         ids, units = measured.tlas.ids, search.units
 
         def keep_of(cull: np.ndarray, units: Units = units, ids: I32 = ids) -> np.ndarray:
-            return _kept(loop, units, cull, ids)
+            return kept_of(loop, units, cull, ids)
 
         sets = [step.cull for step in steps if loop.limited or step.cull.any()]
         verdict = Certificate(loop, measured.next_sample, measured.samples, budget).walk(
@@ -304,19 +304,25 @@ def _search(loop: Loop, measured: Measurement, budget: Budget) -> Search:
 
     light = _light(loop, np.asarray(measured.weights.total * measured.weights.unit, np.float64))
     trials = [trial(traced, None if k else light) for k, traced in enumerate(measured.traced)]
+    units, savings = units_measured(loop, measured, budget, Light.of(*(trial.reference for trial in trials)))
+    return Search(trials, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
+
+
+def units_measured(loop: Loop, measured: Measurement, budget: Budget, light: Light) -> tuple[Units, Savings]:
+    """What is decided together, by a measurement, and what culling saves of its TLAS entries. light: of its paths."""
+    ids = measured.tlas.ids
     with loop.timer.step("feedback_s"):
         worth = measured.worth
         savings = _savings(loop, ids)
         must = loop.activation.pinned.copy()
         must[ids[(worth > PRICELESS).any(axis=1)]] = True
         emitters = loop.seen
-        share = Light.of(*(trial.reference for trial in trials)).share(emitters.tile, emitters.color)
+        share = light.share(emitters.tile, emitters.color)
         seen = Seen(measured.tlas.entry_of(len(loop.activation))[emitters.instance], emitters.tile, share)
         built_ones = seen.of >= 0
         place = seen.of[built_ones], seen.tile[built_ones]
         worth[place] = np.maximum(worth[place], share[built_ones])
-        units = units_of(loop.activation.regions, ids, _evidence(loop, measured, budget), worth, must, seen)
-    return Search(trials, units, savings, budget, _culled_before(loop, units, ids), loop.options.hysteresis)
+        return units_of(loop.activation.regions, ids, _evidence(loop, measured, budget), worth, must, seen), savings
 
 
 def _evidence(loop: Loop, measured: Measurement, budget: Budget) -> I64:
@@ -354,7 +360,7 @@ def _savings(loop: Loop, ids: I32) -> Savings:
     return Savings.among(instances.mesh[ids], costs.mesh, reluctance, costs.instance[ids].astype(np.float64), shared)
 
 
-def _kept(loop: Loop, units: Units, cull: np.ndarray, ids: I32) -> np.ndarray:
+def kept_of(loop: Loop, units: Units, cull: np.ndarray, ids: I32) -> np.ndarray:
     """(N,) bool, the instances that stay where the units of cull, (U,) bool, do not. ids: of the TLAS entries."""
     keep = np.zeros(len(loop.activation), bool)
     keep[units.unmet_kept(cull, loop.activation.regions)] = True

@@ -8,10 +8,11 @@ which paths ask for in turn. So whole meshes are never built where parts do, and
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..accel.region_tree import spatial_order
 from ..arrays import F32, I32, I64
@@ -29,23 +30,44 @@ PART = 256  # triangles of a part: with fewer more is culled, with more the part
 
 @dataclass(frozen=True)
 class Parts:
-    """A mesh in parts. order: (T,) int32 its triangles along a Morton curve; part p has those from p * PART on. boxes:
-    (P, 2, 3) float32, object space."""
+    """A mesh in parts. order: (T,) int32 its triangles, part by part; ends: (P,) int64 where each part ends in it.
+    boxes: (P, 2, 3) float32, object space."""
 
     mesh: Mesh
     order: I32
+    ends: I64
     boxes: F32
 
     @staticmethod
     def of(mesh: Mesh) -> Parts:
-        """Divide a mesh."""
+        """Divide a mesh into runs of PART triangles along a Morton curve."""
         boxes = triangle_boxes(mesh.positions, mesh.triangles)
         order = spatial_order(boxes)
-        return Parts(mesh, order, enclosing(boxes[order], PART))
+        ends = np.minimum(np.arange(PART, len(order) + PART, PART), len(order))
+        return Parts(mesh, order, ends, enclosing(boxes[order], PART))
+
+    @staticmethod
+    def by(mesh: Mesh, faces: NDArray[np.bool_]) -> Parts:
+        """Divide a mesh into two: the triangles of faces, (F,) bool, of which there are some, and the others, likewise.
+        Raises ValueError where the mesh has another number of faces."""
+        count = len(mesh.triangles) if mesh.faces is None else int(mesh.faces.max(initial=-1)) + 1
+        if len(faces) != count:
+            raise ValueError("a mesh with other faces")
+        first = faces if mesh.faces is None else faces[mesh.faces]
+        order = np.argsort(~first, kind="stable").astype(np.int32)
+        ends = np.array([np.count_nonzero(first), len(first)])
+        boxes = triangle_boxes(mesh.positions, mesh.triangles)
+        both = [boxes[first], boxes[~first]]
+        return Parts(mesh, order, ends, np.stack([np.stack((b[:, 0].min(axis=0), b[:, 1].max(axis=0))) for b in both]))
+
+    @property
+    def sizes(self) -> I64:
+        """(P,) triangles of each part."""
+        return np.diff(self.ends, prepend=0)
 
     def part(self, number: int) -> Mesh:
         """One of them, with vertices of its own."""
-        mesh, chosen = self.mesh, self.order[number * PART : (number + 1) * PART]
+        mesh, chosen = self.mesh, self.order[self.ends[number] - self.sizes[number] : self.ends[number]]
         vertices, corners = np.unique(mesh.triangles[chosen], return_inverse=True)
         return Mesh(
             mesh.positions[vertices],
@@ -57,7 +79,7 @@ class Parts:
 
     def faces(self, parts: np.ndarray) -> np.ndarray:
         """(F,) bool, faces of the mesh of which a triangle is in one of parts, (P,) bool."""
-        triangles = self.order[parts[np.arange(len(self.order)) // PART]]
+        triangles = self.order[np.repeat(parts, self.sizes)]
         faces = self.mesh.faces
         out = np.zeros(len(self.order) if faces is None else int(faces.max()) + 1, bool)
         out[triangles if faces is None else faces[triangles]] = True
@@ -112,6 +134,17 @@ class Division:
         self._rows: list[int] = []
         self._parts: list[Parts] = []
 
+    @staticmethod
+    def by(scene: Scene, faces: Mapping[int, NDArray[np.bool_]]) -> Division:
+        """What is divided already: of rows of the scene those faces, (F,) bool, that stay, and behind them the others.
+        Raises ValueError as `Parts.by`."""
+        out = Division(scene)
+        out._may[:] = False
+        out._rows = list(faces)
+        out._parts = [Parts.by(scene.meshes[int(scene.instances.mesh[row])], mask) for row, mask in faces.items()]
+        out._renew()
+        return out
+
     def divide(self, active: np.ndarray) -> bool:
         """Divide what is active, (N,) bool and perhaps more. Returns whether there was any."""
         count = len(self._rows)
@@ -151,9 +184,8 @@ class Division:
         costs = self._whole.render_costs
         if costs is None:
             return None
-        sizes = [np.diff(np.append(np.arange(0, len(parts.order), PART), len(parts.order))) for parts in self._parts]
         meshes = self._whole.instances.mesh[self._rows].tolist()
-        return costs.divided(self.owner, list(zip(meshes, sizes, strict=True)))
+        return costs.divided(self.owner, list(zip(meshes, [parts.sizes for parts in self._parts], strict=True)))
 
     @property
     def owner(self) -> I64:

@@ -26,6 +26,8 @@ from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
 from ..scene.model import Scene
+from ..scene.twins import Twins
+from ..threads import limit
 from ..tracing.seen_emitters import NONE_SEEN, SeenEmitters
 from .activation import SETTLED, Activation
 from .division import Division
@@ -33,7 +35,6 @@ from .frame_tracer import FrameTracer
 from .measurement import Measurement, Traced
 from .options import CullOptions
 from .result import Built, CullingResult, states, structure_figures
-from .twins import Twins
 
 UNKNOWN = 0.2  # requests per path from which on coarse rounds are worth while
 ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
@@ -45,8 +46,7 @@ class Loop:
 
     scene: the frame. tracer: traces sets of its instances. activation: which instances are active. blas: what is built.
     rounds: of this frame so far. measured: the last measurement of this frame. seen: what the camera sees of small
-    emitters. samples: paths per pixel of a measurement and the certificate together, first_samples: of a first
-    measurement.
+    emitters. first_samples: paths per pixel of a first measurement.
     """
 
     def __init__(
@@ -60,12 +60,12 @@ class Loop:
     ) -> None:
         """cancelled: polled during long work; where it says True, `Cancelled` is raised. device: Embree's, shared by
         default. pinned: as in `analyze`. blas: of the scene's meshes, what is built already."""
+        limit(options.threads)
         self.options = options
         self.device = device or shared_device(options.threads)
         self.blas = BlasCache(scene.meshes, self.device) if blas is None else blas
-        self.residency = Residency(
-            self.blas, options.blas_budget_ms / 1000, options.blas_budget_bytes, options.hysteresis
-        )
+        budgets = options.blas_budget_ms / 1000, options.blas_budget_bytes
+        self.residency = Residency(self.blas, *budgets, options.hysteresis)
         self.cold = True  # nothing is known yet of what paths need
         self.division = Division.of(scene, options, self.limited)
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
@@ -94,11 +94,9 @@ class Loop:
     def _enter(self, scene: Scene) -> None:
         """Begin a frame."""
         self.scene, self.timer = scene, self.tracer.timer
-        self.rounds = 0
+        self.rounds, self.size = 0, self.tracer.size
         self.measured: Measurement | None = None
         self.seen: SeenEmitters = NONE_SEEN
-        self.size = self.tracer.size
-        self.samples = self.options.paths_per_pixel(scene.film)
         self.first_samples = self.options.first_paths_per_pixel(scene.film)
 
     @property
@@ -106,9 +104,9 @@ class Loop:
         """Whether builds are limited, so that some active instance may not be in the TLAS."""
         return self.residency.limited
 
-    def run(self, progress: Progress = silent) -> Measurement:
+    def run(self, progress: Progress = silent, sparser: int = 1) -> Measurement:
         """Rounds until no box is asked for any more, then a measurement. Where much is unknown coarse rounds, of few
-        paths, come first."""
+        paths, come first. sparser: by how much fewer paths the others take."""
         if self.options.mitigation:
             with self.timer.step("build_s"):
                 self.activation.activate_newly_visible(self.scene, self.cold)
@@ -128,8 +126,9 @@ class Loop:
                 samples = max(1, round(ROUND_PATHS / (coarse_size[0] * coarse_size[1])))
                 feedback, picture = self.tracer.trace(tlas, samples, boxes, size=coarse_size)
             else:
-                feedback, picture = self.tracer.trace(tlas, self.options.round_paths_per_pixel(self.scene.film), boxes)
-            self.ambient = _mean_luminance(picture)
+                samples = max(1, self.options.round_paths_per_pixel(self.scene.film) // sparser)
+                feedback, picture = self.tracer.trace(tlas, samples, boxes)
+            self.ambient = mean_luminance(picture)
             with self.timer.step("feedback_s"):
                 asked = self.activation.open_requested_boxes(cut, feedback, emissive)
             if coarse:
@@ -144,16 +143,20 @@ class Loop:
             self.seen = self.tracer.seen_emitters(self.tracer.build(self.activation.active))
             if self.activation.activate_seen_emitters(self.seen, tile_means(picture), self.options.max_error):
                 tlas = None
-        return self.measure(tlas, progress=part(progress, 0.5, 1.0))
+        return self.measure(tlas, max(1, self.first_samples // sparser), part(progress, 0.5, 1.0))
 
     def _divide(self) -> None:
         """Replace large meshes that paths have asked for by their parts."""
         with self.timer.step("build_s"):
             if self.division and self.division.divide(self.activation.active & ~self.activation.pinned):
-                self.scene = self.division.scene
-                self.blas.advance(self.scene.meshes, *np.zeros((2, 0), np.int32))
-                self.activation.divide(self.scene)
-                self.tracer.divide(self.scene)
+                self.enter_division(self.division)
+
+    def enter_division(self, division: Division) -> None:
+        """Go on with a scene of which meshes are divided."""
+        self.division, self.scene = division, division.scene
+        self.blas.advance(self.scene.meshes, *np.zeros((2, 0), np.int32))
+        self.activation.divide(self.scene)
+        self.tracer.divide(self.scene)
 
     def _schedule_builds(self, progress: Progress = silent) -> None:
         """Where builds are limited: have the BLASes of active instances built, the most valuable first. A time budget
@@ -183,8 +186,7 @@ class Loop:
         if tlas is None:
             self._divide()
             tlas = self.tracer.build(self.activation.active, progress)
-        built = np.zeros(len(self.activation), bool)
-        built[tlas.ids] = True
+        built = np.bincount(tlas.ids, minlength=len(self.activation)) > 0
         weights, count = Weights.zeros(len(tlas), self.ambient), samples or self.first_samples
         log = PathLog.zeros(self.size[1], self.size[0], count)
         prepared = self.tracer.with_only_emitters(built)
@@ -198,8 +200,7 @@ class Loop:
         """A measurement with so many more paths per pixel of each tile, (T,); the old one's weights become its own."""
         only = marks(samples, self.size[1], self.size[0])
         log, first = PathLog.zeros(*only.shape), measured.next_sample
-        built = np.zeros(len(self.activation), bool)
-        built[measured.tlas.ids] = True
+        built = np.bincount(measured.tlas.ids, minlength=len(self.activation)) > 0
         prepared = self.tracer.with_only_emitters(built)
         feedback, _ = self.tracer.count(
             prepared, measured.tlas, only.shape[2], first, None, measured.weights, progress, log=log, only=only
@@ -241,5 +242,6 @@ class Loop:
         return self.division.joined(result) if self.division else result
 
 
-def _mean_luminance(picture: F32) -> float:
+def mean_luminance(picture: F32) -> float:
+    """Of a picture, (H, W, 3 or 4)."""
     return float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean())

@@ -17,6 +17,8 @@ from .options import CullOptions
 from .policies import LIGHT_PATHS
 from .result import CullingResult
 
+How = Callable[[Loop, Progress], CullingResult]
+
 
 class Shot:
     """Culling over the frames of a shot, one `advance` per frame.
@@ -51,13 +53,14 @@ class Shot:
         progress: Progress = silent,
         cancelled: Callable[[], bool] | None = None,
         pinned: np.ndarray | None = None,
+        how: How = decide,
     ) -> CullingResult:
         """Decide which instances of the next frame stay.
 
         scene: the frame; where an array did not change it may be the same object as in the last frame, and where
         geometry did not, the same meshes by index. change: how scene differs from the scene of the last call; None for
-        a fresh start. pinned: (N,) bool, instances that stay whatever paths meet. The result's stats hold the frame's
-        own figures: seconds, builds, rays of this call alone.
+        a fresh start. pinned: (N,) bool, instances that stay whatever paths meet. how: what is done with the frame's
+        loop. The result's stats hold the frame's own figures: seconds, builds, rays of this call alone.
 
         Raises Cancelled where cancelled() says so (the next call then needs no Change: it starts afresh), MemoryError
         where Embree runs out.
@@ -70,11 +73,11 @@ class Shot:
             loop = Loop(scene, self.options, cancelled, self.device, pinned, blas)
         else:
             loop.advance(scene, change, cancelled, pinned)
-        result = decide(loop, progress)
+        result = how(loop, progress)
         seen = result.hits[:, RayType.CAMERA] > 0
         if seen.any() and not result.active.any() and self._judges(scene):
             loop = Loop(scene, self.options, cancelled, self.device, seen)
-            result = decide(loop, progress)
+            result = how(loop, progress)
         self.loop = loop
         return result
 

@@ -43,7 +43,10 @@ FRAME: dict[str, tuple[dict[str, Any], str]] = {
     "active": (COUNT, "those that stay; with `--bake shot`, in the set of the shot"),
     "pending": (COUNT, "wanted, but their acceleration structure is not there yet (`--blas-budget`)"),
     "culled": (COUNT, "the others"),
-    "needed": (COUNT, "`--bake shot`: instances that this frame needs by itself"),
+    "needed": (
+        COUNT,
+        "`--bake shot`: instances that this frame brought into the set; missing where the set of the others held",
+    ),
     "view_layers": (COUNT, "view layers that were analysed, where there are several"),
     "hitboxes": (COUNT, "boxes that stand in for what is culled"),
     "meshes": (COUNT, "distinct meshes of active instances"),

@@ -22,7 +22,7 @@ from ..keys import KEY, Keys
 from ..memory.rows import NOTHING_KEPT, Weighed
 from .enforcing import verified
 from .job import Cancel, check, never
-from .session import Session
+from .session import Decide, Session
 from .shot_set import ShotSet
 
 if TYPE_CHECKING:
@@ -97,9 +97,15 @@ def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, A
 
 
 def decide_layers(
-    sessions: Sequence[Session], frame: int, last: bool, progress: Progress = silent, cancelled: Cancel = never
+    sessions: Sequence[Session],
+    frame: int,
+    last: bool,
+    progress: Progress = silent,
+    cancelled: Cancel = never,
+    decide: Decide | None = None,
 ) -> Decided:
-    """Decide a frame by what each view layer needs: an instance that one of them needs stays. last: as in `run_frame`.
+    """Decide a frame by what each view layer needs: an instance that one of them needs stays. last: as in `run_frame`;
+    decide: what each layer is asked, at all moments of the frame, by default which instances stay.
 
     Where no layer shows anything that light paths can be traced in, but something all the same, nothing is culled.
     Raises NothingToAnalyse, Cancelled.
@@ -118,11 +124,12 @@ def decide_layers(
             shown |= dict.fromkeys(error.shown)
             continue
         check(cancelled)
-        extraction = session.limit_memory(session.expose(extraction, frame, within, cancelled))
+        extraction = session.limit_memory(session.expose(extraction, frame, within, cancelled, decide))
         if last:
             session.end_reading()
         check(cancelled)
-        result = session.decide(extraction, None, within, cancelled)
+        ask = decide or Session.decided
+        result = ask(session, extraction, within, cancelled)
         check(cancelled)
         if not session.job.engine:
             entry |= verified(session.job, frame, extraction.scene, result.active, silent, cancelled)

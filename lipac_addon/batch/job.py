@@ -79,9 +79,9 @@ class Job:
         """A frame's states."""
         return self.folder / "states" / f"frame_{frame:04}.npz"
 
-    def analysis(self, frame: int) -> Path:
-        """What a frame of a shot needs by itself."""
-        return self.folder / "analysis" / f"frame_{frame:04}.npz"
+    def analysis(self, frame: int, kind: str = "") -> Path:
+        """What was found out about a frame of a shot: what it needs by itself, or of another kind."""
+        return self.folder / "analysis" / f"frame_{frame:04}{kind and '_' + kind}.npz"
 
     def pictures(self, frame: int) -> list[Path]:
         """All pictures of a frame."""

@@ -68,10 +68,10 @@ def _sweep(job: Job, keep_analyses: bool) -> None:
     for folder in (job.folder / "states", job.folder / "analysis"):
         sweep(folder, stems)
     sweep(job.folder / "verified", {f"{stem}_{name}" for stem in stems for name in ("full", "culled")})
-    unwanted = set() if keep_analyses else {job.analysis(frame).name for frame in job.shot or job.frames}
+    unwanted = set() if keep_analyses else {job.analysis(frame).stem for frame in job.shot or job.frames}
     with alone(job.folder):
         for path in (job.folder / "analysis").glob("frame_*.npz"):
-            if path.name in unwanted:
+            if "_".join(path.stem.split("_")[:2]) in unwanted:
                 path.unlink(missing_ok=True)
 
 
@@ -80,7 +80,7 @@ def _run_frames(job: Job, finished: set[int], report: Report, progress: Progress
     if job.options.memory and job.engine:
         _run_in_little_memory(job, todo, report, progress, cancelled)
         return
-    if job.ahead and not job.whole and not finished and len(todo) > 1:
+    if job.ahead and not job.whole and not finished:
         with Ahead(job.ahead, todo) as ahead:
             for k, frame in enumerate(todo):
                 run_frame_ahead(

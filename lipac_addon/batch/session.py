@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,9 @@ from .job import Cancel, Job, never
 
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
-    from ...core.culling.shot import Shot
+    from ...core.culling.shot import How, Shot
+
+Decide = Callable[["Session", Extraction, Progress, Cancel], "CullingResult"]
 
 
 class Session:
@@ -75,10 +78,16 @@ class Session:
         return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}
 
     def expose(
-        self, extraction: Extraction, frame: int, progress: Progress = silent, cancelled: Cancel = never
+        self,
+        extraction: Extraction,
+        frame: int,
+        progress: Progress = silent,
+        cancelled: Cancel = never,
+        decide: Decide | None = None,
     ) -> Extraction:
         """Find out what a frame needs while its shutter is open and things are elsewhere: it stays, whatever the
-        frame's own moment needs. Returns the frame as it is, extracted anew where there was anything to find out."""
+        frame's own moment needs. decide: of each moment, by default `self.decide`. Returns the frame as it is,
+        extracted anew where there was anything to find out."""
         if not extraction.moments or self._extractor is None:
             return extraction
         needed = []
@@ -88,7 +97,7 @@ class Session:
             within = part(
                 progress, k / len(extraction.moments), (k + 1) / len(extraction.moments), f"{moment:+.2g} frames: "
             )
-            needed.append(other.keys.records[self.decide(other, None, within, cancelled).active])
+            needed.append(other.keys.records[(decide or Session.decided)(self, other, within, cancelled).active])
         with muted():
             extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
         self._pinned = any_of(extraction.keys.records, needed)
@@ -109,10 +118,16 @@ class Session:
             self._extractor = None
 
     def decide(
-        self, extraction: Extraction, scene: Scene | None = None, progress: Progress = silent, cancelled: Cancel = never
+        self,
+        extraction: Extraction,
+        scene: Scene | None = None,
+        progress: Progress = silent,
+        cancelled: Cancel = never,
+        how: How | None = None,
     ) -> CullingResult:
         """Which instances of the frame that was extracted last stay. scene: what to look at in its place, with the same
-        instances and meshes."""
+        instances and meshes. how: as in `Shot.advance`, by default it decides."""
+        from ...core.culling.analysis import decide
         from ...core.culling.shot import Shot
 
         pinned = _either(self._pinned, roles.untouched(extraction.keys))
@@ -120,7 +135,13 @@ class Session:
             return _by_rule(extraction.scene, self.job.options, pinned)
         if self._shot is None:
             self._shot = Shot(self.job.options, independent=not self.job.warm)
-        return self._shot.advance(scene or extraction.scene, extraction.change, progress, cancelled, pinned)
+        return self._shot.advance(
+            scene or extraction.scene, extraction.change, progress, cancelled, pinned, how or decide
+        )
+
+    def decided(self, extraction: Extraction, progress: Progress, cancelled: Cancel) -> CullingResult:
+        """As `decide`, of the frame as it is."""
+        return self.decide(extraction, None, progress, cancelled)
 
 
 def _either(a: NDArray[np.bool_] | None, b: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:

@@ -4,6 +4,7 @@ does."""
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
@@ -24,6 +25,7 @@ from .frame import ANALYSIS_SHARE, hybrid, render, write_back
 from .job import Cancel, Job, check
 from .session import Session, sessions_of
 from .shot_set import ShotSet
+from .uniting import Uniting, unites
 
 TRIES = 3
 
@@ -31,6 +33,10 @@ TRIES = 3
 def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, cancelled: Cancel) -> None:
     """Find out what each frame of the shot needs; then do the job's with what any of them does."""
     share = ANALYSIS_SHARE if job.engine else 0.9
+    if unites(job):
+        uniting = Uniting(job, report, cancelled)
+        _use(job, uniting.run(part(progress, 0.0, share)), uniting.states, share, finished, report, progress, cancelled)
+        return
     _analyse(job, report, part(progress, 0.0, share), cancelled)
 
     def needed(frame: int) -> States:
@@ -46,6 +52,21 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
     shot = ShotSet()
     for frame in job.shot or job.frames:
         shot.add(needed(frame))
+    _use(job, shot, needed, share, finished, report, progress, cancelled)
+
+
+def _use(
+    job: Job,
+    shot: ShotSet,
+    needed: Callable[[int], States],
+    share: float,
+    finished: set[int],
+    report: Report,
+    progress: Progress,
+    cancelled: Cancel,
+) -> None:
+    """Do a job's frames with a set. needed: what is known of a frame by itself, with its entry for the report as its
+    note; share: of the progress that is done."""
     if job.save is not None or job.engine in BLENDER_ENGINES:
         written: dict[str, Any] = {}
         lines, _ = write_back(~shot.active, shot.keys, written, shot.faces, lasting=job.save is not None)
@@ -67,7 +88,7 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
             active = shot.of(states)
             entry: dict[str, Any] = json.loads(states.note)
             entry |= {
-                "needed": entry["active"],
+                **({} if unites(job) else {"needed": entry["active"]}),
                 "active": int(active.sum()),
                 "culled": int((~active).sum()),
                 "pending": 0,
@@ -109,7 +130,6 @@ def _render_kept(
 
     n, before = len(active), dict(entry)
     nothing = np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64)
-    # still a bound: at least as much is kept as where it was measured
     changes = {name: before[name] for name in ("certified_mean",) if name in before}
     hybrid(
         job,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,12 +17,14 @@ from ..keys import KEY, Keys, Kind, packed
 class ShotSet:
     """The instances of all frames that were added, found again from frame to frame by their keys.
 
-    active: (N,) bool, those that were kept in one of the frames; `keys` belong to it. faces: by name of an object that
-    no frame keeps as a whole, (F,) bool, faces that one of them keeps.
+    active: (N,) bool, those that were kept in one of the frames; met: (N,) bool, those that paths of one met, or that
+    it keeps; `keys` belong to both. faces: by name of an object that no frame keeps as a whole, (F,) bool, faces that
+    one of them keeps.
     """
 
     def __init__(self) -> None:
         self.active: NDArray[np.bool_] = np.zeros(0, bool)
+        self.met: NDArray[np.bool_] = np.zeros(0, bool)
         self._records: Records = np.zeros(0, KEY)
         self._names: dict[str, int] = {}
         self.faces: dict[str, NDArray[np.bool_]] = {}
@@ -35,10 +40,12 @@ class ShotSet:
         records = self.records_of(states)
         rows, known = self._rows(records)
         kept = states.state != State.CULLED
+        met = kept | states.hits.any(axis=1)
         self.active[rows[known]] |= kept[known]
+        self.met[rows[known]] |= met[known]
         if not known.all():
             self._records = np.concatenate([self._records, records[~known]])
-            self.active = np.concatenate([self.active, kept[~known]])
+            self.active, self.met = np.append(self.active, kept[~known]), np.append(self.met, met[~known])
         self._add_faces(states, kept)
 
     def _add_faces(self, states: States, kept: NDArray[np.bool_]) -> None:
@@ -63,13 +70,38 @@ class ShotSet:
             raise ValueError("a frame with instances that were not added")
         return rows
 
+    def found(self, keys: Keys) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which instances of a frame, added or not, are active, and which were met: (n,) bool each."""
+        rows, known = self._rows(self._renamed(keys.names, {name: keys.records[name] for name in KEY.names or ()}))
+        at = np.where(known, rows, 0)
+        active, met = (known & of[at] if len(of) else known for of in (self.active, self.met))
+        return active, met
+
+    def faces_of(self, keys: Keys, active: NDArray[np.bool_]) -> dict[int, NDArray[np.bool_]]:
+        """By row of an object that is active, (n,) bool, faces of it that are, (F,) bool, where those are some."""
+        objects = np.flatnonzero(active & (keys.records["kind"] == Kind.OBJECT)).tolist()
+        named = ((row, self.faces.get(keys.names[keys.records["object"][row]])) for row in objects)
+        return {row: mask for row, mask in named if mask is not None and mask.any() and not mask.all()}
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of a set: which instances there are, and which of them and of their faces stay."""
+        faces = (part for name in sorted(self.faces) for part in (name.encode(), self.faces[name].tobytes()))
+        names = "\0".join(self._names).encode()
+        return hashlib.sha256(
+            b"\0".join((packed(self._records).tobytes(), names, self.active.tobytes(), *faces))
+        ).hexdigest()
+
     def records_of(self, states: States) -> Records:
         """The keys of a frame as records of KEY, by the names of `keys`."""
-        place = np.array([*(self._names.setdefault(name, len(self._names)) for name in states.names), -1], np.int32)
-        records = np.zeros(len(states.state), KEY)
-        records["kind"], records["path"] = states.keys["kind"], -1
-        records["path"][:, : states.keys["path"].shape[1]] = states.keys["path"]
-        records["host"], records["object"] = place[states.keys["host"]], place[states.keys["object"]]
+        return self._renamed(states.names, states.keys)
+
+    def _renamed(self, names: Sequence[str], keys: Mapping[str, np.ndarray]) -> Records:
+        place = np.array([*(self._names.setdefault(name, len(self._names)) for name in names), -1], np.int32)
+        records = np.zeros(len(keys["kind"]), KEY)
+        records["kind"], records["path"] = keys["kind"], -1
+        records["path"][:, : keys["path"].shape[1]] = keys["path"]
+        records["host"], records["object"] = place[keys["host"]], place[keys["object"]]
         return records
 
     def _rows(self, records: Records) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:

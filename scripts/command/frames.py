@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ...core.culling.policies import LIGHT_PATHS
 from ...core.errors import InputError
 from ...core.files.digest import digest
-from ...core.threads import processors
+from ...core.threads import limit, processors
 from ...core.warmup import load_ahead, telling
 from ...version import __version__
 from .clock import began
@@ -40,6 +40,7 @@ def do_frames(
     """What `analyze` and `render` share: check, open, work through the frames, and print the table. hybrid: fields of
     `HybridOptions`; save: as in `Job`."""
     check(args)
+    limit(args.threads)
     # Blender's start, too: it swallows exceptions while it starts, and goes on half started
     with (
         last_words(_crashed(args), 1),
@@ -61,8 +62,9 @@ def do_frames(
         from ...lipac_addon.open import AUTO, leave_modes, missing_libraries, open_scene, use_camera
 
         gc.freeze()  # what is loaded by now stays: who collects garbage need not look through it
-        # where memory is limited another process analyses
-        if (args.cull != "none" or engine not in BLENDER_ENGINES) and not (args.memory and engine):
+        # where another process analyses, this one holds nothing of what that takes
+        elsewhere = engine and (args.memory or getattr(args, "ahead", False))
+        if (args.cull != "none" or engine not in BLENDER_ENGINES) and not elsewhere:
             load_ahead()
         if args.scene is not None:
             unread = (
@@ -158,7 +160,8 @@ def ahead_arguments(args: argparse.Namespace, alone: bool) -> tuple[str, ...]:
         or args.enforce
     ):
         return ()
-    if wanted is None and not _off_the_cpu(args):
+    several = args.frames is not None and len(args.frames) > 1
+    if wanted is None and not (several and _off_the_cpu(args)):
         return ()
     said = {
         "resolution": args.resolution and "{}x{}".format(*args.resolution),

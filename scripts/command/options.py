@@ -125,7 +125,8 @@ def scene_parser(command: str, description: str) -> Parser:
     )
     general.add_argument("--enforce", action="store_true", help=again)
     general.add_argument("--seed", type=seed_number, default=0, metavar="S", help="of all random numbers (default: 0)")
-    general.add_argument("--threads", type=thread_count, default=0, metavar="N", help="0: all cores (default)")
+    threads = "of the analysis and the render, at a time (Blender evaluates scenes by its own); 0: all cores (default)"
+    general.add_argument("--threads", type=thread_count, default=0, metavar="N", help=threads)
     general.add_argument("--quiet", action="store_true", help="no progress")
     return parser
 

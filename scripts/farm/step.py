@@ -28,6 +28,7 @@ def main(argv: Sequence[str]) -> int:
     import sys
     from pathlib import Path
 
+    from ...core.threads import limit
     from ...core.warmup import load_ahead, telling
     from ..command.arguments import frame_range, thread_count
     from ..command.interrupt import ctrl_c
@@ -62,6 +63,7 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     args = parser.parse_args(argv)
+    limit(args.threads)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # a farm ends tasks so; Blenders of their own end, too
     with progress_of(args.quiet) as shown, telling(shown) as progress, ctrl_c() as cancelled:
         from ...lipac_addon.console import muted

@@ -226,7 +226,8 @@ def feedback(_folder: Path) -> dict[str, Any]:
     loop = Loop(_city(20_000), CullOptions())
     loop.run()
     tlas = loop.tracer.build(loop.activation.active)
-    measured = loop.measure(tlas, loop.samples)  # all that it may take
+    samples = loop.options.paths_per_pixel(loop.scene.film)
+    measured = loop.measure(tlas, samples)  # all that it may take
     budget, mesh = loop.options.max_error, loop.scene.instances.mesh[tlas.ids]
 
     def timed(job: Callable[[], object]) -> Callable[[], float]:
@@ -246,9 +247,9 @@ def feedback(_folder: Path) -> dict[str, Any]:
         keep[tlas.ids[~selection.cull]] = True
         loop.result(keep, np.zeros(len(keep), np.float32), measured.feedback.hits)
 
-    bare = timed(lambda: trace(loop.tracer.prepared, tlas, loop.samples, size=loop.size))
+    bare = timed(lambda: trace(loop.tracer.prepared, tlas, samples, size=loop.size))
     seconds = interleaved(
-        {"bare": bare, "measured": timed(lambda: loop.measure(tlas, loop.samples)), "deciding": timed(decide)}, 9
+        {"bare": bare, "measured": timed(lambda: loop.measure(tlas, samples)), "deciding": timed(decide)}, 9
     )
     return {
         "seconds": seconds,

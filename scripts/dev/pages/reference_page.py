@@ -40,7 +40,7 @@ OUTPUT = """## Output
 | `frame_0001.exr` | the picture, linear, 32-bit floats |
 | `frame_0001_layers.exr` | `--engine hybrid`: its layers ([hybrid.md](hybrid.md)) |
 | `states/frame_0001.npz` | what was decided for each instance: [below](#statesframe_0001npz) |
-| `analysis/frame_0001.npz` | `--bake shot`: what the frame needs by itself, in the same form |
+| `analysis/frame_0001*.npz` | `--bake shot`: what it brought into the set, and a check of that, in the same form |
 | `report.json` | figures of each frame: [below](#reportjson) |
 | `report.html` | the same as a page, with pictures: [user guide](user-guide.md#the-page-that-a-command-leaves) |
 | `memory.csv` | what each object, mesh and image takes of a render by Cycles, what it is worth, and why it stays |

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lipac.core.culling.analysis import _kept, _search
+from lipac.core.culling.analysis import _search, kept_of
 from lipac.core.culling.certificate import Certificate
 from lipac.core.culling.loop import Loop
 from lipac.core.culling.measurement import Traced
@@ -94,7 +94,7 @@ def test_the_search_of_the_page_finds_the_same_sets(name: str, mean: float) -> N
     sets, count = plain.search(theirs, trials_of(loop, traced, measured.tlas), (mean, 5 * mean))
     assert len(sets) == len(steps) > 1
     for (cull, change), step in zip(sets, steps, strict=True):
-        np.testing.assert_array_equal(theirs.kept(cull), _kept(loop, units, step.cull, ids))
+        np.testing.assert_array_equal(theirs.kept(cull), kept_of(loop, units, step.cull, ids))
         np.testing.assert_allclose(change.error, step.estimate.tiles, atol=1e-9)
         np.testing.assert_allclose(change.sigma, step.estimate.deviation, atol=1e-9)
         for confidence in (0.8, 0.99):
@@ -117,7 +117,7 @@ def test_the_certificate_of_the_page_accepts_the_same_set(name: str, mean: float
     sets = [step.cull for step in found.run() if step.cull.any()]
     ids = measured.tlas.ids
     walked = Certificate(loop, measured.next_sample, measured.samples, budget)
-    verdict = walked.walk(sets, units, lambda cull: _kept(loop, units, cull, ids))
+    verdict = walked.walk(sets, units, lambda cull: kept_of(loop, units, cull, ids))
 
     other = Loop(scene, options)  # in the state before the certificate
     again = other.run()

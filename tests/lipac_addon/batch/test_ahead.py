@@ -2,6 +2,8 @@
 other."""
 
 import json
+import subprocess
+import sys
 from argparse import Namespace
 from pathlib import Path
 
@@ -58,6 +60,27 @@ def test_states_and_pictures_are_those_of_one_after_the_other(file, tmp_path):
     assert sorted(p.name for p in (tmp_path / "b").iterdir()) == sorted(p.name for p in (tmp_path / "a").iterdir())
 
 
+def test_a_single_frame_is_analysed_elsewhere_by_wish(file, tmp_path):
+    """The process that renders then has not loaded what an analysis needs."""
+    common = ["render", str(file), "--max-error", "0.05", "--resolution", "48x27", "--quiet"]
+    for name in ("--no-ahead", "--ahead"):
+        code = (
+            "import sys; from lipac.scripts.lipac import main; status = main(sys.argv[1:]); "
+            "print(*(f'lipac.core.{name}' in sys.modules for name in ('culling.loop', 'tracing.tracer'))); "
+            "sys.exit(status)"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code, *common, "-o", str(tmp_path / name), name],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout.splitlines()[-1] == ("False False" if name == "--ahead" else "True True")
+    a, b = ((tmp_path / name / "states" / "frame_0001.npz").read_bytes() for name in ("--no-ahead", "--ahead"))
+    assert a == b
+    assert "analysis_peak_bytes" in entries(tmp_path / "--ahead")[0]
+
+
 def test_what_the_process_says_is_said(file, tmp_path):
     with Ahead([str(file), "--camera", "nobody"], FRAMES) as ahead:
         folder = Path(ahead._folder.name)
@@ -86,6 +109,7 @@ def test_when_it_is_done(monkeypatch):
         "no_mitigation": False,
         "no_parts": False,
         "memory": None,
+        "frames": (1, 2),
     }
     plain |= {
         "resolution": (64, 36),
@@ -110,6 +134,8 @@ def test_when_it_is_done(monkeypatch):
         "0.02"
     )
     assert arguments() == expected
+    assert arguments(frames=None) == arguments(frames=(1,)) == ()
+    assert arguments(frames=(1,), ahead=True) == expected
     assert arguments(ahead=False) == arguments(alone=False) == arguments(scene=None) == ()
     assert arguments(cull="frustum") == arguments(bake="shot") == arguments(enforce=True) == ()
     off[0] = False

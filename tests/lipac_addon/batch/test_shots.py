@@ -15,18 +15,23 @@ import bpy
 import numpy as np
 import pytest
 
+from lipac.core.culling import union
 from lipac.core.culling.activation import COLD_HITS
 from lipac.core.culling.analysis import analyze
+from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions, State
 from lipac.core.culling.shot import Shot
 from lipac.core.error_budget.budget import Budget
 from lipac.core.errors import Cancelled
+from lipac.core.evaluation.judge import Judge
 from lipac.core.files.atomic import replacing
 from lipac.core.files.report import Report, States, load_states
+from lipac.core.scene.model import RAY_TYPES
 from lipac.lipac_addon.batch.job import SHOT, Job
 from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.batch.session import Session
 from lipac.lipac_addon.batch.shot_set import ShotSet
+from lipac.lipac_addon.batch.uniting import middles
 from lipac.lipac_addon.extract import Extractor, extract_frame
 from lipac.lipac_addon.open import open_scene
 from lipac.lipac_addon.pictures import read_picture
@@ -37,6 +42,7 @@ pytestmark = pytest.mark.slow
 
 SHARED = Path(__file__).parents[3] / ".." / "shared" / "scenes"
 OPTIONS = CullOptions(width=48, paths=2)
+LARGER = CullOptions(width=96, paths=6, max_error=Budget(0.02, 0.1))
 
 
 @pytest.fixture
@@ -214,18 +220,74 @@ def shown(states: States) -> set[str]:
 
 @pytest.mark.parametrize("engine", ["", "path"])
 def test_one_set_for_a_shot(moving: Any, tmp_path: Path, engine: str) -> None:
-    """What is kept in any frame is kept in all, and nothing else."""
-    do(tmp_path / "frames", (1, 4, 6))
-    do(tmp_path / "shot", (1, 4, 6), bake=SHOT, engine=engine)
-    alone = [shown(load_states(tmp_path / "frames" / "states" / f"frame_000{k}.npz")) for k in (1, 4, 6)]
-    together = [shown(load_states(tmp_path / "shot" / "states" / f"frame_000{k}.npz")) for k in (1, 4, 6)]
-    assert together == [set.union(*alone)] * 3
-    assert len(alone[0]) < len(together[0])
-    assert files(tmp_path / "frames", "states/*.npz").keys() == files(tmp_path / "shot", "states/*.npz").keys()
-    entries = json.loads((tmp_path / "shot" / "report.json").read_text())["frames"]
-    assert [e["active"] for e in entries] == [len(together[0])] * 3
-    assert [e["needed"] for e in entries] == [len(a) for a in alone]
-    assert len(list((tmp_path / "shot").glob("*.png"))) == (3 if engine else 0)
+    """What a frame brings into it is kept in all, and nothing else; the set is certified on each frame, by an
+    independent judge too."""
+    do(tmp_path, range(1, 7), bake=SHOT, engine=engine, options=LARGER)
+    together = [shown(load_states(tmp_path / "states" / f"frame_000{k}.npz")) for k in range(1, 7)]
+    own = [shown(load_states(path)) for path in sorted((tmp_path / "analysis").glob("*_proposed.npz"))]
+    assert together == [set.union(*own)] * 6
+    assert 2 <= len(own) < 6
+    assert len(own[0]) < len(together[0]) < len(moving.objects)
+    entries = json.loads((tmp_path / "report.json").read_text())["frames"]
+    assert [e["active"] for e in entries] == [len(together[0])] * 6
+    assert [e["needed"] for e in entries if "needed" in e] == [len(names) for names in own]
+    assert all(e["certified_mean"] <= LARGER.max_error.mean for e in entries)
+    assert all(e["certified_worst"] <= LARGER.max_error.worst for e in entries)
+    assert len(list(tmp_path.glob("*.png"))) == (6 if engine else 0)
+    for frame in (1, 3, 6):
+        judged(moving, frame, together[0], LARGER)
+
+
+def judged(scene: Any, frame: int, kept: set[str], options: CullOptions) -> None:
+    """That a picture with the objects that are kept is within the budget, by paths of the judge's own."""
+    extraction = extract_frame(scene, frame)
+    names, objects = extraction.keys.names, extraction.keys.records["object"]
+    change = Judge(extraction.scene, 16).change(np.array([names[k] in kept for k in objects]))
+    assert change.mean - 3 * change.mean_deviation <= options.max_error.mean
+    assert change.worst - 4 * change.worst_deviation <= options.max_error.worst
+
+
+def test_frames_in_which_a_set_does_not_hold_have_their_say(
+    moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All that is proposed is the floor: in the end each frame holds all the same, and the report tells who brought
+    what."""
+
+    def nothing(loop: Loop, _progress: Any = None) -> Any:
+        n = len(loop.activation)
+        return loop.result(np.arange(n) == 0, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
+
+    monkeypatch.setattr(union, "propose", nothing)
+    r = do(tmp_path, range(1, 7), bake=SHOT, options=LARGER)
+    together = shown(load_states(tmp_path / "states" / "frame_0003.npz"))
+    decided = sorted(path.stem for path in (tmp_path / "analysis").glob("frame_000?.npz"))
+    assert decided
+    assert all(e["certified_worst"] <= LARGER.max_error.worst for e in r.frames)
+    for frame in (1, 3, 6):
+        judged(moving, frame, together, LARGER)
+
+
+def test_where_nothing_helps_all_stays(moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Analyses that keep nothing but the floor, too: everything is kept, and a line says so."""
+
+    def nothing(loop: Loop, _progress: Any = None) -> Any:
+        n = len(loop.activation)
+        return loop.result(np.arange(n) == 0, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
+
+    monkeypatch.setattr(union, "propose", nothing)
+    monkeypatch.setattr(union, "decide_closer", nothing)
+    r = do(tmp_path, (1, 2), bake=SHOT)
+    assert [e["culled"] for e in r.frames] == [0, 0]
+    assert any("all stays" in line for line in r.warnings)
+
+
+def test_the_middle_of_each_run_has_its_say() -> None:
+    frames = tuple(range(10, 30))
+    assert middles([20, 19, 18], frames, {}) == [19]
+    assert middles([10, 11, 29, 13], frames, {}) == [11, 13, 29]
+    assert middles([18, 19, 20], frames, {19: 1}) in ([18], [20])
+    assert middles([18, 19], frames, {18: 1, 19: 2}) == [18]
+    assert middles([], frames, {}) == []
 
 
 def test_a_shot_is_resumed(moving: Any, tmp_path: Path) -> None:
@@ -234,7 +296,7 @@ def test_a_shot_is_resumed(moving: Any, tmp_path: Path) -> None:
     with pytest.raises(Cancelled):
         run(job, report(), cancelled=lambda: moving.frame_current == 3)
     analyses = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "analysis").glob("*.npz")}
-    assert sorted(analyses) == ["frame_0001.npz", "frame_0002.npz"]
+    assert sorted(analyses) == ["frame_0001_proposed.npz"]
     with pytest.raises(Cancelled):
         run(Job(**{**vars(job), "resume": True}), report(), cancelled=(tmp_path / "frame_0001.png").exists)
     assert {p.name: p.stat().st_mtime_ns for p in (tmp_path / "analysis").glob("*.npz")}.items() >= analyses.items()
@@ -253,7 +315,7 @@ def test_a_shot_is_split(moving: Any, tmp_path: Path) -> None:
     (tmp_path / "parts" / "report.json").unlink()
     do(tmp_path / "parts", (1, 2), bake=SHOT, shot=whole)
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "parts" / "analysis").glob("*.npz")}
-    assert len(before) == 6
+    assert len(before) >= 8
     do(tmp_path / "parts", (3, 4, 5, 6), bake=SHOT, shot=whole)
     assert before == {p: p.stat().st_mtime_ns for p in before}
     assert files(tmp_path / "whole") == files(tmp_path / "parts")
@@ -266,16 +328,16 @@ def test_a_baked_file_renders_the_same_without_us(moving: Any, tmp_path: Path) -
     file is as it was."""
     moving.cycles.seed = 0
     visible = {ob.name: ob.hide_render for ob in bpy.data.objects}
-    generous = replace(OPTIONS, max_error=Budget(0.2, 1.0))  # so that few paths are sure that something may go
-    do(tmp_path, (1, 6), bake=SHOT, engine="cycles", save=tmp_path / "baked.blend", options=generous)
+    generous = replace(LARGER, max_error=Budget(0.2, 1.0))  # so that few paths are sure that something may go
+    do(tmp_path, (1, 2), bake=SHOT, engine="cycles", save=tmp_path / "baked.blend", options=generous)
     assert {ob.name: ob.hide_render for ob in bpy.data.objects} == visible
-    hidden = set(visible) - shown(load_states(tmp_path / "states" / "frame_0006.npz"))
+    hidden = set(visible) - shown(load_states(tmp_path / "states" / "frame_0002.npz"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "baked.blend"))
     scene = bpy.context.scene
     assert {ob.name for ob in bpy.data.objects if ob.hide_render} >= {name for name in hidden if name.startswith("box")}
     assert any(ob.hide_render for ob in bpy.data.objects)
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
-    for frame in (1, 6):
+    for frame in (1, 2):
         scene.frame_set(frame)
         scene.cycles.samples = 1
         scene.render.filepath = str(tmp_path / f"plain{frame}.exr")

@@ -6,7 +6,7 @@ import numpy as np
 
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.options import CullOptions
-from lipac.core.culling.twins import Twins
+from lipac.core.scene.twins import Twins
 
 from .. import scenes
 
