@@ -26,6 +26,7 @@ from ..scene.model import RAY_TYPES, RayType, Scene
 from ..tracing.lights.lights import brightest
 from ..tracing.seen_emitters import polished
 from .certificate import MORE, STEEPEST, Certificate, Verdict
+from .levels.levelled import CULLING, PROPOSALS, has_levels, levelled
 from .loop import Loop
 from .measurement import Measurement, Traced
 from .options import CullOptions
@@ -125,7 +126,22 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     uses at least 1 / options.hysteresis of the budget; else bytes that go with what it kept count for less by that
     factor.
     """
-    return _decided(loop, *_judged(loop, measured, budget, progress))
+    if not has_levels(loop):
+        measured, units, steps, verdict, searched, _ = _judged(loop, measured, budget, progress)
+        return _decided(loop, measured, units, steps, verdict, searched)
+    tighter = Budget(CULLING * budget.mean, CULLING * budget.worst)
+    judged = _judged(loop, measured, tighter, part(progress, 0.0, 0.5), PROPOSALS)
+    measured, units, steps, verdict, searched, certificate = judged
+    found = None
+    if verdict.cull is not None:
+        keep = loop.twins.joined(loop.scene.instances.bounds, verdict.keep | loop.activation.pinned)
+        estimate = certificate.judge(keep, doubts=False)
+        found = levelled(loop, measured, certificate, keep, estimate, budget, part(progress, 0.5, 1.0))
+    if found is None:
+        return _decided(loop, measured, units, steps, verdict, searched)
+    verdict = replace(verdict, estimate=found.estimate, unknown=certificate.unknown, paths=certificate.paths)
+    result = _decided(loop, measured, units, steps, verdict, searched)
+    return replace(result, stats=result.stats | found.figures, stand_ins=found.stand_ins)
 
 
 def by_memory(
@@ -137,7 +153,7 @@ def by_memory(
     Raises InputError where that cannot be.
     """
     _check_memory(loop, loop.activation.pinned, limit)
-    measured, units, steps, verdict, searched = _judged(loop, measured, budget, part(progress, 0.0, 0.5))
+    measured, units, steps, verdict, searched, _ = _judged(loop, measured, budget, part(progress, 0.0, 0.5))
     bound, ids = budget, measured.tlas.ids
     while not _fits(loop, verdict.keep, limit):
         if bound.mean > WIDEST:
@@ -189,10 +205,10 @@ def _megabytes(count: int) -> str:
 
 
 def _judged(
-    loop: Loop, measured: Measurement, budget: Budget, progress: Progress
-) -> tuple[Measurement, Units, list[Choice], Verdict, int]:
-    """What surely keeps a budget, with the measurement, the units and the sets that it is of, and how many paths were
-    traced for these."""
+    loop: Loop, measured: Measurement, budget: Budget, progress: Progress, more: int = 0
+) -> tuple[Measurement, Units, list[Choice], Verdict, int, Certificate]:
+    """What surely keeps a budget, with the measurement, the units and the sets that it is of, how many paths were
+    traced for these, and the certificate. more: as of `Certificate`."""
     attempts = 1 if loop.limited else ATTEMPTS
     for attempt in range(attempts):
         within = part(progress, attempt / attempts, (attempt + 1) / attempts)
@@ -203,14 +219,13 @@ def _judged(
             return kept_of(loop, units, cull, ids)
 
         sets = [step.cull for step in steps if loop.limited or step.cull.any()]
-        verdict = Certificate(loop, measured.next_sample, measured.samples, budget).walk(
-            sets, units, keep_of, partial(gain, units, search.savings), part(within, 0.5, 0.9)
-        )
+        certificate = Certificate(loop, measured.next_sample, measured.samples, budget, more=more)
+        verdict = certificate.walk(sets, units, keep_of, partial(gain, units, search.savings), part(within, 0.5, 0.9))
         fruitless = verdict.cull is None or (attempt == 0 and len(sets) > 0 and not verdict.cull.any())
         if not fruitless or attempt == attempts - 1:
             break
         measured = loop.measure(None, 2 * measured.log.shape[2], part(within, 0.9, 1.0))
-    return measured, units, steps, verdict, searched
+    return measured, units, steps, verdict, searched, certificate
 
 
 def _decided(

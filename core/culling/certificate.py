@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from ..accel.tlas import Tlas
 from ..arrays import F64, I64
 from ..error_budget.budget import Budget
-from ..error_budget.error_estimate import CONFIDENCE, NOTHING, ErrorEstimate, Light, Reference
+from ..error_budget.error_estimate import CONFIDENCE, NOTHING, Difference, ErrorEstimate, Light, Reference
 from ..error_budget.search import WORTH_WHILE, pieces
 from ..error_budget.trial import Trial
 from ..error_budget.units import Seen, Units
 from ..feedback.path_log import PathLog
 from ..feedback.tiles import TILES, marks
 from ..progress import Progress, part, silent
+from .frame_tracer import FrameTracer
 from .loop import Loop
 from .witness import Witness, trace_witness
 
@@ -70,13 +71,19 @@ class Certificate:
     """Paths that judge the sets of a sequence: they took no part in choosing them."""
 
     def __init__(
-        self, loop: Loop, first_sample: int, samples: I64, budget: Budget, confidence: float = CONFIDENCE
+        self,
+        loop: Loop,
+        first_sample: int,
+        samples: I64,
+        budget: Budget,
+        confidence: float = CONFIDENCE,
+        more: int = 0,
     ) -> None:
         """first_sample, samples: of the first paths, so many per pixel of each tile, (T,); the numbers behind these are
-        taken too. confidence: that both bounds hold.
+        taken too. confidence: that both bounds hold. more: sets that are judged beside those of the walk.
         """
         self.loop, self.next_sample, self.samples, self.budget = loop, first_sample, samples, budget
-        self.each = 1 - (1 - confidence) / (LOOKS * LEVELS)
+        self.each = 1 - (1 - confidence) / (LOOKS * (LEVELS + more))
         self.paths = self._again = self._looks = 0  # paths traced in all; of those in doubtful tiles; looks so far
         # instances that the paths' full scene had in its TLAS, whether they met them or not
         self._held = np.zeros(len(loop.activation), bool)
@@ -172,10 +179,36 @@ class Certificate:
             estimate = self._estimate(keep, tlas)
         return estimate
 
+    def judge_exchanged(
+        self, tracer: FrameTracer, keep: np.ndarray, tlas: Tlas, budget: Budget, progress: Progress = silent
+    ) -> ErrorEstimate:
+        """The error where instances of what stays have other meshes, too. tracer: of that scene; keep: (N,) bool, what
+        there is of it, a part of the set that was judged last; tlas: over that.
+
+        A path may meet what has another shape where it passed before, so all paths are traced. By as many looks as it
+        takes to be sure, or as are left.
+        """
+        difference: Difference | None = None
+        traced = 0
+        while True:
+            for layer in self._layers[traced:]:
+                found = layer.exchanged(tracer, keep, tlas)
+                difference = found if difference is None else difference + found
+                self.paths += int(np.count_nonzero(layer.only))
+            traced = len(self._layers)
+            assert difference is not None
+            estimate = self._estimated(difference, keep)
+            if estimate.surely_holds(budget, self.each) or not self._look_again(estimate, progress, budget):
+                return estimate
+
     def _estimate(self, keep: np.ndarray, tlas: Tlas) -> ErrorEstimate:
         for layer in self._layers:
             self.paths += layer.propose(keep, tlas)
         difference = sum((layer.trial.trace() for layer in self._layers[1:]), self._layers[0].trial.trace())
+        return self._estimated(difference, keep)
+
+    def _estimated(self, difference: Difference, keep: np.ndarray) -> ErrorEstimate:
+        """By what paths differ by, and what is charged where keep, (N,) bool, stays."""
         seen, light = self.loop.seen, self._light
         unmet = Seen(seen.instance, seen.tile, light.share(seen.tile, seen.color)).without(keep)
         return light.estimate(difference, self.unknown + unmet)
@@ -195,12 +228,13 @@ class Certificate:
         self._looks += 1
         self._layers.append(_Layer(self.loop, witness, only))
 
-    def _look_again(self, estimate: ErrorEstimate, progress: Progress) -> bool:
+    def _look_again(self, estimate: ErrorEstimate, progress: Progress, budget: Budget | None = None) -> bool:
         """More paths in the tiles that doubt a set; False where they would not do."""
+        budget = budget or self.budget
         if self._looks >= LOOKS:
             return False
         first, paths = self._layers[0].reference.paths, self._light.paths
-        tiles = estimate.doubtful(self.budget, self.each) & (paths < DENSEST * first)
+        tiles = estimate.doubtful(budget, self.each) & (paths < DENSEST * first)
         samples = np.where(
             tiles, (np.minimum(paths / np.maximum(first, 1), STEEPEST) * self.samples).astype(np.int64), 0
         )
@@ -208,7 +242,7 @@ class Certificate:
         if (
             not tiles.any()
             or self._again + cost > MORE * first.sum()
-            or not estimate.may_hold(self.budget, self.each, DENSEST * first / paths)
+            or not estimate.may_hold(budget, self.each, DENSEST * first / paths)
         ):
             return False
         self._again += cost
@@ -220,7 +254,7 @@ class _Layer:
     """Paths of one look."""
 
     def __init__(self, loop: Loop, witness: Witness, only: NDArray[np.uint8]) -> None:
-        self._loop, self.witness = loop, witness
+        self._loop, self.witness, self.only = loop, witness, only
         light = witness.light if any(hits.lamps_known for hits in loop.scene.first_hits.values()) else None
         self.reference = Reference(witness.log, only, light, loop.known)
         self.trial = Trial(self.reference, witness.log, self._without, only)
@@ -232,6 +266,12 @@ class _Layer:
         traced for it."""
         self._keep, self._tlas = keep, tlas
         return self.trial.propose(~keep[self.witness.tlas.ids])
+
+    def exchanged(self, tracer: FrameTracer, keep: np.ndarray, tlas: Tlas) -> Difference:
+        """What all of its paths differ by in another scene, as of `Certificate.judge_exchanged`."""
+        tracer.trace_without(self.witness.tlas, self.witness.first_sample, keep, tlas, self.only, self._buffer)
+        full = PathLog(self._buffer.records, self.reference.color.reshape(self._buffer.color.shape))
+        return self.reference.compare(self.only, self._buffer.color, full, self.reference.nothing)
 
     def _without(self, cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
         self._loop.tracer.trace_without(

@@ -187,6 +187,19 @@ class Division:
         meshes = self._whole.instances.mesh[self._rows].tolist()
         return costs.divided(self.owner, list(zip(meshes, [parts.sizes for parts in self._parts], strict=True)))
 
+    def pieces(self, keep: np.ndarray) -> list[tuple[int, I64, I32]]:
+        """What stays of each divided mesh: its number, the rows of the parts of it that stay with keep, (N,) bool, and
+        their triangles."""
+        out = []
+        first = len(self._whole.instances)
+        for row, parts in zip(self._rows, self._parts, strict=True):
+            kept = np.flatnonzero(keep[first : first + len(parts.boxes)])
+            if len(kept):
+                chosen = np.concatenate([parts.order[p * PART : (p + 1) * PART] for p in kept.tolist()])
+                out.append((int(self._whole.instances.mesh[row]), first + kept, chosen))
+            first += len(parts.boxes)
+        return out
+
     @property
     def owner(self) -> I64:
         """(P,) row of the divided instance that each part belongs to."""

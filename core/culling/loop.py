@@ -70,7 +70,7 @@ class Loop:
         self.division = Division.of(scene, options, self.limited)
         self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
         self.known = np.ones(TILES)  # share of the light of each tile that is surely there, by the last measurement
-        self._twins = Twins()
+        self.twins = Twins()
         self.tracer = FrameTracer(scene, options, self.residency, cancelled)
         self._enter(scene)
         with self.timer.step("build_s"):
@@ -221,8 +221,7 @@ class Loop:
 
         What the last measurement does not need is freed; where there was none, all that is active stays built.
         """
-        keep = self._twins.joined(self.scene.instances.bounds, keep | self.activation.pinned)
-        self.activation.kept = keep
+        self.activation.kept = keep = self.twins.joined(self.scene.instances.bounds, keep | self.activation.pinned)
         self.activation.activate(keep)
         self._schedule_builds()
         tlas = self.tracer.build(keep)

@@ -45,7 +45,8 @@ class CullOptions:
     memory: `light-paths`: bytes that the render may take; where `Scene.render_costs` say that it takes more, more is
     culled than max_error allows. 0: no limit.
 
-    parts: large meshes are culled by parts, where an instance's flags let them.
+    parts: large meshes are culled by parts, where an instance's flags let them. levels: with an error budget, meshes of
+    what stays are exchanged for simplified ones, where `Scene.simplifiable` lets them.
 
     Over the frames of a shot: hysteresis: keep threshold = new threshold / hysteresis, 1 for none; mitigation: large
     instances that come into view are active at once (latency mitigation). blas_budget_ms: milliseconds of BLAS building
@@ -63,6 +64,7 @@ class CullOptions:
     settled: float = 0.02
     max_iterations: int = 64
     parts: bool = False
+    levels: bool = False
     memory: int = 0
     hysteresis: float = 2.0
     mitigation: bool = True

@@ -14,6 +14,7 @@ from ..accel.residency import Residency
 from ..accel.tlas import Tlas
 from ..arrays import F32, I32, I64, U8
 from ..tracing.tracer import Prepared
+from .levels.stand_ins import StandIn
 from .options import State
 
 
@@ -37,6 +38,7 @@ class CullingResult:
     paths that met it, by type. boxes: (H, 2, 3) float32 world boxes that stand in for what is culled. faces: by row of
     an active instance whose mesh was divided, (F,) bool, those of its faces that stay. stats: the frame's figures,
     named as in report.json.
+    stand_ins: by mesh, what takes its place.
     tiles: (TILES,) float32, by how much each tile of the picture changes at most, where that is certified.
     warnings: what could not be kept to. built: for a renderer of this frame; None where nothing was.
     """
@@ -49,6 +51,7 @@ class CullingResult:
     warnings: tuple[str, ...] = ()
     faces: Mapping[int, np.ndarray] = field(default_factory=dict)
     tiles: F32 | None = None
+    stand_ins: Mapping[int, StandIn] = field(default_factory=dict)
     built: Built | None = field(default=None, repr=False, compare=False)
 
     @property

@@ -23,6 +23,7 @@ from ..arrays import F32, F64, I32, I64, U8, Records
 from ..errors import InputError
 from ..progress import clock
 from .atomic import alone, check_writable, replacing
+from .level import Level, level_arrays, read_levels
 from .memory_table import MemoryRow, merged, read_rows, write_rows
 from .usage import peak_memory
 
@@ -275,7 +276,7 @@ class Report:
 class States:
     """The states of a frame's instances, as `save_states` writes them. keys: kind (N,), host (N,), object (N,) and path
     (N, depth) by name. faces: by name of an object, (F,) bool, those of its mesh that stay; of others that stay all
-    do."""
+    do. levels: by name of an object, what takes the place of its mesh."""
 
     state: U8
     score: F32
@@ -284,6 +285,7 @@ class States:
     names: tuple[str, ...]
     note: str = ""
     faces: Mapping[str, np.ndarray] = field(default_factory=dict)
+    levels: Mapping[str, Level] = field(default_factory=dict)
 
 
 def save_states(
@@ -297,6 +299,7 @@ def save_states(
     boxes: F64 | None = None,
     faces: Mapping[str, np.ndarray] | None = None,
     certified: F32 | None = None,
+    levels: Mapping[str, Level] | None = None,
 ) -> None:
     """Write the states of a frame (states/frame_0001.npz).
 
@@ -306,8 +309,9 @@ def save_states(
     the same whatever other frames were looked at. Integers have the smallest type that holds them. note: a text to keep
     with it.
     boxes: (H, 2, 3) world boxes that stand in for what is culled. faces: as in `States`; in the file face_names (K,),
-    face_counts (K,) and face_bits, packed. certified: (TILES,), as `CullingResult.tiles`. Not compressed: at a million
-    instances that would take longer than the analysis.
+    face_counts (K,) and face_bits, packed. levels: as in `States`; in the file level_names (L,), level_counts (L,),
+    level_corners (sum, 3) and level_faces (sum,). certified: (TILES,), as `CullingResult.tiles`. Not compressed: at a
+    million instances that would take longer than the analysis.
     """
     depth = int((keys["path"] >= 0).any(axis=0).sum()) if len(keys) else 0
     host, ob, used = _renamed(keys["host"], keys["object"], names)
@@ -327,6 +331,7 @@ def save_states(
         arrays["face_names"] = np.array(list(faces), dtype=np.str_)
         arrays["face_counts"] = np.array([len(mask) for mask in faces.values()])
         arrays["face_bits"] = np.packbits(np.concatenate(list(faces.values())))
+    arrays |= level_arrays(levels or {})
     if certified is not None:
         arrays["certified"] = certified
     if note:
@@ -348,7 +353,8 @@ def load_states(path: Path) -> States:
             ends = np.cumsum(data["face_counts"])
             masks = np.split(np.unpackbits(data["face_bits"], count=int(ends[-1])).astype(bool), ends[:-1])
             faces = dict(zip(data["face_names"].tolist(), masks, strict=True))
-        return States(data["state"], data["score"], data["hits"], keys, tuple(data["names"].tolist()), note, faces)
+        state, score, hits, names = (data[name] for name in ("state", "score", "hits", "names"))
+        return States(state, score, hits, keys, tuple(names.tolist()), note, faces, read_levels(data))
 
 
 def _renamed(host: I32, ob: I32, names: Sequence[str]) -> tuple[I32, I32, list[str]]:

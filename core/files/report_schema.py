@@ -53,6 +53,8 @@ FRAME: dict[str, tuple[dict[str, Any], str]] = {
     "triangles": (COUNT, "of these meshes, each counted once"),
     "parts": (COUNT, "parts of divided meshes"),
     "parts_active": (COUNT, "those that stay"),
+    "levels": (COUNT, "`--levels`: meshes that are exchanged for simplified ones"),
+    "levels_triangles": (COUNT, "triangles that these have less, each mesh counted once"),
     # Error, as shares
     "predicted_mean": (SHARE, "change of the mean of tiles that single worths add up to"),
     "predicted_worst": (SHARE, "the same of the worst tile"),
@@ -130,6 +132,7 @@ FRAME: dict[str, tuple[dict[str, Any], str]] = {
                         "particle_hosts",
                         "face_hosts",
                         "faces_removed",
+                        "simplified_objects",
                         "emptied_sources",
                     ),
                     COUNT,
@@ -186,6 +189,10 @@ STATES: dict[str, tuple[str, tuple[str | int, ...], str]] = {
     "face_names": ("U", ("M",), "objects whose mesh was culled by parts, where there are any"),
     "face_counts": ("i", ("M",), "faces of each"),
     "face_bits": ("u", ("B",), "1 for each face that stays, one mesh after the other, as of `numpy.packbits`"),
+    "level_names": ("U", ("L",), "objects whose mesh is exchanged for a simplified one, where there are any"),
+    "level_counts": ("i", ("L",), "triangles of each"),
+    "level_corners": ("i", ("S", 3), "of each triangle of these, one mesh after the other: corners of the whole mesh"),
+    "level_faces": ("i", ("S",), "and the face of the whole mesh whose material it has"),
     "note": ("U", (), "a text kept with it, where there is one"),
 }
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import F32, F64, I32, U8, Records
 from .mesh import Mesh, MeshTable
@@ -324,6 +325,7 @@ class Scene:
     first_hits: what camera rays meet, where it is known from elsewhere, by width and height of the picture: paths of
     such a picture start there. shutter: the camera at evenly spaced moments of an exposure, of which each path takes
     one at random; none: it stands still. whole: why nothing may be culled by light paths, in words; "": it may.
+    simplifiable: (M,) bool, meshes that may be exchanged for simplified ones; None: none.
     """
 
     instances: Instances
@@ -344,6 +346,7 @@ class Scene:
     shutter: tuple[Camera, ...] = ()
     render_costs: RenderCosts | None = None
     whole: str = ""
+    simplifiable: NDArray[np.bool_] | None = None
 
 
 def default_material() -> Records:

@@ -68,6 +68,10 @@ class Prepared:
         lights = Lights(scene, None, self.lights.meshes)
         return dataclasses.replace(self, scene=scene, table=SceneTable(scene), lights=lights)
 
+    def exchanged(self, scene: Scene) -> Prepared:
+        """The same lights where instances that do not emit have other meshes."""
+        return dataclasses.replace(self, scene=scene, table=SceneTable(scene))
+
     def with_emitters(self, active: NDArray[np.bool_]) -> Prepared:
         """The same scene where only those emissive instances light it that are active, (N,) bool: what is left when the
         others are removed."""

@@ -13,6 +13,7 @@ import numpy as np
 from ...core.arrays import F32, F64, I64, U8, Records
 from ...core.culling.options import State
 from ...core.errors import NothingToAnalyse
+from ...core.files.level import Level
 from ...core.files.memory_table import MemoryRow
 from ...core.files.report import States, save_states
 from ...core.progress import Progress, part, silent
@@ -20,6 +21,7 @@ from ...core.scene.model import RAY_TYPES
 from ..extract import Extraction
 from ..keys import KEY, Keys
 from ..memory.rows import NOTHING_KEPT, Weighed
+from ..writeback.levels import levels_of
 from .enforcing import verified
 from .job import Cancel, check, never
 from .session import Decide, Session
@@ -35,7 +37,7 @@ SUMS = ("hitboxes", "tlas_bytes", "blas_built", "blas_refitted", "paths", "rays"
 @dataclass(frozen=True)
 class Decided:
     """What was decided on a frame, for all its view layers. state (N,), score (N,), hits (N, RAY_TYPES), boxes (H, 2,
-    3): as of `CullingResult`, boxes in the world; records, names: its keys; entry: for the report; faces: as of
+    3): as of `CullingResult`, boxes in the world; records, names: its keys; entry: for the report; faces, levels: as of
     `States`; tiles: as of `CullingResult`; weighed: of each view layer."""
 
     state: U8
@@ -50,6 +52,7 @@ class Decided:
     faces: Mapping[str, np.ndarray] = field(default_factory=dict)
     tiles: F32 | None = None
     weighed: tuple[Weighed, ...] = ()
+    levels: Mapping[str, Level] = field(default_factory=dict)
 
     @property
     def keys(self) -> Keys:
@@ -72,14 +75,24 @@ class Decided:
     def save(self, path: Path, note: str = "") -> None:
         """As a file of states."""
         save_states(
-            path, self.state, self.score, self.hits, self.records, self.names, note, self.boxes, self.faces, self.tiles
+            path,
+            self.state,
+            self.score,
+            self.hits,
+            self.records,
+            self.names,
+            note,
+            self.boxes,
+            self.faces,
+            self.tiles,
+            self.levels,
         )
 
     @property
     def states(self) -> States:
         """As they would be read again."""
         keys = {name: self.records[name] for name in ("kind", "host", "object", "path")}
-        return States(self.state, self.score, self.hits, keys, self.names, "", self.faces)
+        return States(self.state, self.score, self.hits, keys, self.names, "", self.faces, self.levels)
 
 
 def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, Any]) -> Decided:
@@ -92,7 +105,7 @@ def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, A
     entry = entry | result.stats
     return Decided(
         result.state, result.score, result.hits, boxes, keys.records, keys.names, entry, *lines, faces, result.tiles,
-        weighed
+        weighed, levels_of(extraction, result)
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...core.culling.options import State
 from ...core.error_budget.budget import Budget
+from ...core.files.level import Level
 from ...core.files.memory_table import MemoryRow
 from ...core.files.report import Report, save_states
 from ...core.files.usage import resident_memory
@@ -27,6 +28,7 @@ from ..extract import Extraction
 from ..keys import Keys
 from ..memory.limit import PROCESS
 from ..writeback import WritebackResult
+from ..writeback.plan import NO_LEVELS
 from .ahead import Ahead
 from .deciding import Decided, decide_layers, decided_of
 from .enforcing import ENFORCED, broken, measured, tightened, verified
@@ -61,7 +63,7 @@ def run_frame_ahead(
     show_frame(bpy.context.scene, frame)
     kept = ShotSet()
     kept.add(found.states)
-    lines, _ = write_back(~kept.active, kept.keys, found.entry, kept.faces)
+    lines, _ = write_back(~kept.active, kept.keys, found.entry, kept.faces, levels=kept.levels)
     outcome = Outcome(found.entry, found.approximated, (*found.warnings, *lines), found.memory)
     rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
     outcome.entry.update(render(job, frame, rest).entry())
@@ -133,7 +135,8 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
         decided.save(job.states(frame))
         entry, warnings = decided.entry, decided.warnings
         if job.engine:
-            lines, applied = write_back(np.asarray(decided.state == State.CULLED), decided.keys, entry, decided.faces)
+            culled = np.asarray(decided.state == State.CULLED)
+            lines, applied = write_back(culled, decided.keys, entry, decided.faces, levels=decided.levels)
             warnings, approximated = (*warnings, *lines), decided.approximated
             memory = decided.memory(applied.removed, applied.reasons)
             figures = decided.figures(0, applied.removed)
@@ -233,16 +236,21 @@ def _beside(figures: dict[str, int]) -> dict[str, int]:
 
 
 def write_back(
-    culled: np.ndarray, keys: Keys, entry: dict[str, Any], faces: Mapping[str, np.ndarray], lasting: bool = False
+    culled: np.ndarray,
+    keys: Keys,
+    entry: dict[str, Any],
+    faces: Mapping[str, np.ndarray],
+    lasting: bool = False,
+    levels: Mapping[str, Level] = NO_LEVELS,
 ) -> tuple[list[str], WritebackResult]:
     """Take culled (N,) bool out of renders of the open file; what that came to goes into the frame's entry, what could
     not be is said in the lines returned.
 
-    faces: as of `States`. lasting: the file is to be saved so.
+    faces, levels: as of `States`. lasting: the file is to be saved so.
     """
     start = time.perf_counter()
     with muted():
-        applied = writeback.apply(culled, keys, lasting=lasting, faces=faces, free=True)
+        applied = writeback.apply(culled, keys, lasting=lasting, faces=faces, free=True, levels=levels)
     entry["writeback_s"] = time.perf_counter() - start
     entry["writeback"] = applied.summary()
     whole = [f"{count:,} objects keep all faces in the render: {why}" for why, count in applied.whole.items()]

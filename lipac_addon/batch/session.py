@@ -41,6 +41,7 @@ class Session:
         pays: one at a time can."""
         self.job, self.layer = job, layer
         renders = bool(job.engine) and ENGINES[job.engine].uses_blender
+        self.alone = keep
         self.keep = keep and not renders and len(job.frames) > 1
         self._extractor: Extractor | None = None
         self._shot: Shot | None = None
@@ -135,9 +136,10 @@ class Session:
             return _by_rule(extraction.scene, self.job.options, pinned)
         if self._shot is None:
             self._shot = Shot(self.job.options, independent=not self.job.warm)
-        return self._shot.advance(
-            scene or extraction.scene, extraction.change, progress, cancelled, pinned, how or decide
-        )
+        scene = scene or extraction.scene
+        if extraction.moments or not self.alone:  # simplified meshes are judged by one moment of one picture
+            scene = replace(scene, simplifiable=None)
+        return self._shot.advance(scene, extraction.change, progress, cancelled, pinned, how or decide)
 
     def decided(self, extraction: Extraction, progress: Progress, cancelled: Cancel) -> CullingResult:
         """As `decide`, of the frame as it is."""

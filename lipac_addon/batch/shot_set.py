@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...core.arrays import Records
 from ...core.culling.options import State
+from ...core.files.level import Level
 from ...core.files.report import States
 from ..keys import KEY, Keys, Kind, packed
 
@@ -19,7 +20,7 @@ class ShotSet:
 
     active: (N,) bool, those that were kept in one of the frames; met: (N,) bool, those that paths of one met, or that
     it keeps; `keys` belong to both. faces: by name of an object that no frame keeps as a whole, (F,) bool, faces that
-    one of them keeps.
+    one of them keeps. levels: as of `States`, where there is but one frame.
     """
 
     def __init__(self) -> None:
@@ -28,6 +29,8 @@ class ShotSet:
         self._records: Records = np.zeros(0, KEY)
         self._names: dict[str, int] = {}
         self.faces: dict[str, NDArray[np.bool_]] = {}
+        self.levels: Mapping[str, Level] = {}
+        self._frames = 0
         self._whole: set[str] = set()  # objects that a frame keeps with all faces
 
     @property
@@ -37,6 +40,8 @@ class ShotSet:
 
     def add(self, states: States) -> None:
         """Take a frame in."""
+        self._frames += 1
+        self.levels = states.levels if self._frames == 1 else {}
         records = self.records_of(states)
         rows, known = self._rows(records)
         kept = states.state != State.CULLED

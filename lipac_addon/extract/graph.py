@@ -25,9 +25,9 @@ from .geometry.geometry_sets import Geometry, GeometryReader
 from .graph_items import (
     Members,
     Node,
-    is_divisible,
     is_light_linked,
     legacy_instancing,
+    mark_mesh,
     matrix,
     ray_visibility,
     render_objects,
@@ -174,7 +174,7 @@ class GraphReader:
             node.alone = item.type != "MESH"
         node.alone |= item.type == "META"
         parent = item.parent
-        node.marks |= int(InstanceFlag.DIVISIBLE) * is_divisible(node)
+        mark_mesh(node, self.geometry.meshes)
         node.replaced = parent is not None and parent.instance_type in {"VERTS", "FACES"}
         node.unsupported = tuple(lines)
 

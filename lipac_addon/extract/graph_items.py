@@ -11,10 +11,12 @@ import numpy as np
 
 from ...core.arrays import F64
 from ...core.scene.mesh import DIVIDED_FROM
+from ...core.scene.model import InstanceFlag
 from ..keys import Kind
 from .geometry.geometry_sets import Geometry
+from .geometry.mesh_table import MeshTable
 from .lights import LampData
-from .materials.wholeness import needs_whole_mesh
+from .materials.wholeness import needs_whole_mesh, reads_triangles
 
 
 @dataclass(eq=False)
@@ -127,6 +129,35 @@ def is_divisible(node: Node) -> bool:
     if diced or 2 * len(item.data.polygons) < DIVIDED_FROM:
         return False
     return not any(needs_whole_mesh(slot.material) for slot in item.material_slots)
+
+
+def is_simplifiable(node: Node) -> bool:
+    """Whether the mesh of an object may be exchanged for one made of corners of it: where nothing is made from it but
+    what an armature deforms, corner by corner, and no material looks at its triangles."""
+    item = node.item
+    original = item.original
+    if (
+        item.type != "MESH"
+        or node.kind != Kind.OBJECT
+        or node.marks & ~int(InstanceFlag.DIVISIBLE)
+        or len(item.particle_systems)
+        or original.library is not None
+        or original.override_library is not None
+        or original.data.shape_keys is not None
+        or original.data.animation_data is not None
+    ):
+        return False
+    if any(m.type != "ARMATURE" for m in item.modifiers if m.show_render):
+        return False
+    return not any(needs_whole_mesh(slot.material) or reads_triangles(slot.material) for slot in item.material_slots)
+
+
+def mark_mesh(node: Node, meshes: MeshTable) -> None:
+    """Mark an object of whose mesh faces may be culled, and its mesh where all that show it let it be exchanged."""
+    node.marks |= int(InstanceFlag.DIVISIBLE) * is_divisible(node)
+    if node.geometry is not None and node.geometry.mesh >= 0:
+        source = meshes.source(node.geometry.mesh)
+        source.simplifiable = source.simplifiable is not False and is_simplifiable(node)
 
 
 def visible_members(collection: Any) -> Iterator[Any]:

@@ -166,6 +166,7 @@ class SceneReader:
             origin=placed.origin,
             approximated=tuple(approximated),
             whole=next((line for line in shading.approximated if self.most and line.endswith(PORTAL)), ""),
+            simplifiable=graph.geometry.meshes.simplifiable(),
         )
         scatters = {
             n.full_name: n.geometry.columns[:, 3, :3]

@@ -15,7 +15,7 @@ from ...core.arrays import F32, F64, I64
 from ...core.files.memory_table import MemoryRow
 from ...core.scene.mesh import DIVIDED_FROM
 from ...core.scene.model import RAY_TYPES, InstanceFlag, Instances
-from ...core.scene.render_costs import TRIANGLE
+from ...core.scene.render_costs import BVH_TRIANGLE, TRIANGLE
 from ..extract import Extraction
 from ..keys import Keys
 from .costs import NamedCosts, costs_of
@@ -33,6 +33,7 @@ UNMET = "culled: no light path meets it"
 CHEAP = "culled: the picture changes little without it"
 NOT_ASKED = "everything that is not culled by a rule stays"
 CULLED = "culled"
+SIMPLIFIED = "by a simplified mesh"
 SHARED = "not divisible: several instances share its mesh"
 WHOLE = "not divisible: its object, or a material of it, needs the whole mesh"
 
@@ -42,13 +43,15 @@ class Outcome:
     """What became of N instances in a render. present: (N,) bool, those that it has; hits: (N, RAY_TYPES) light paths
     that met each; score: (N,) share of the picture that each may be worth, None where that was not measured; traced:
     whether light paths were. share: by row of an instance, which share of its faces the render has, where that is not
-    all. obstacles: by full name of an object, why it could not be culled."""
+    all; level: by mesh, which share of its triangles a simplified one has that takes its place. obstacles: by full name
+    of an object, why it could not be culled."""
 
     present: NDArray[np.bool_]
     hits: I64
     score: F32 | None
     traced: bool
     share: Mapping[int, float] = field(default_factory=dict)
+    level: Mapping[int, float] = field(default_factory=dict)
     obstacles: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -68,7 +71,9 @@ class Weighed:
         named = costs_of(extraction, scene)
         score = result.score if "certified_mean" in result.stats else None
         share = {row: float(mask.mean()) for row, mask in result.faces.items()}
-        outcome = Outcome(result.active, result.hits, score, bool(result.stats.get("paths")), share)
+        bvh = named.costs.bvh.tolist()
+        level = {mesh: BVH_TRIANGLE * len(one) / max(bvh[mesh], 1) for mesh, one in result.stand_ins.items()}
+        outcome = Outcome(result.active, result.hits, score, bool(result.stats.get("paths")), share, level)
         return Weighed(named, extraction.scene.instances, extraction.keys, outcome, frame)
 
     @staticmethod
@@ -104,7 +109,12 @@ class Weighed:
         share = np.ones(len(self.named.costs.geometry))
         for row, part in self.outcome.share.items():
             share[self.instances.mesh[row]] = part
-        return self.named.costs.total(
+        left = np.ones(len(share))
+        for mesh, part in self.outcome.level.items():
+            left[mesh], share[mesh] = part, 1.0
+        costs = self.named.costs
+        geometry, bvh = ((of * left).astype(np.int64) for of in (costs.geometry, costs.bvh))
+        return replace(costs, geometry=geometry, bvh=bvh).total(
             self.instances.mesh, self.instances.slots, self.outcome.present if removed is None else ~removed, share
         )
 
@@ -129,6 +139,8 @@ class _Ledger:
             self.share[self.mesh[row]] = share
         self.cut = np.zeros(m, bool)
         self.cut[self.mesh[list(outcome.share)]] = True
+        for mesh, share in outcome.level.items():
+            self.share[mesh], self.cut[mesh] = share, False
         self.users = np.bincount(self.mesh, minlength=m)
 
     def objects(self) -> list[MemoryRow]:
@@ -174,6 +186,10 @@ class _Ledger:
         large = (self.costs.geometry >= TRIANGLE * DIVIDED_FROM) & ~self.cut
         whole = np.where(large & (self.users > 1), 2, large.astype(np.int64))[self.mesh]
         whole[((self.flags & InstanceFlag.DIVISIBLE) != 0) & (whole == 1)] = 0
+        simplified = np.zeros(len(self.users), bool)
+        simplified[list(self.outcome.level)] = True
+        coarse = np.zeros(names, bool)
+        np.logical_or.at(coarse, self.owner, simplified[self.mesh])
         most = np.zeros(names, np.int64)
         np.maximum.at(most, self.owner, whole)
         out = []
@@ -182,7 +198,8 @@ class _Ledger:
                 out.append(f"cannot be culled: {self.outcome.obstacles[name]}")
             elif kept[n]:
                 reason = NOT_ASKED if not self.outcome.traced else MET if met[n] else UNSURE
-                out.append("; ".join([reason, *(["", WHOLE, SHARED][most[n]],) * bool(most[n])]))
+                more = (SIMPLIFIED,) if coarse[n] else (["", WHOLE, SHARED][most[n]],) * bool(most[n])
+                out.append("; ".join([reason, *more]))
             else:
                 out.append(CULLED if not self.outcome.traced else CHEAP if met[n] else UNMET)
         return out

@@ -6,12 +6,13 @@
 - a mask modifier on geometry-nodes hosts, which removes single instances;
 - the render switch of particle systems, as a whole;
 - a face modifier on objects of which parts are culled;
+- meshes that are exchanged for simplified ones;
 - and where asked to, objects that only culled instances show are emptied, so that their images, meshes and modifiers
   cost nothing.
 
 Read in the order of use: `references` (who instances whom), `sources` (what else looks at what is instanced), `plan`
 (which means for which instance), `marks` (the record kept in the .blend), `mask` and `faces` (the modifiers),
-`emptying`. Only the last affects the viewport, and nothing is written to disk.
+`emptying`, `levels`. Only the last two affect the viewport, and nothing is written to disk.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import F32
+from ...core.files.level import Level
 from ..keys import Keys, full_name
 from . import emptying, marks, mask
 from . import faces as face_mask
-from .plan import EMPTY, Plan, make_plan
+from .levels import simplify
+from .plan import EMPTY, NO_LEVELS, Plan, make_plan
 
 __all__ = ["WritebackResult", "apply", "restore"]
 
@@ -40,7 +43,7 @@ class WritebackResult:
     kept: culled instances that could not be removed, counted by the reason.
     objects, hosts, particle_hosts, sources: numbers of hidden objects, of masked geometry-nodes hosts, of emitters
     switched off, of objects emptied. face_hosts, faces_removed: numbers of objects that lost faces, and of these;
-    whole: objects that should have, counted by the reason.
+    whole: objects that should have, counted by the reason. simplified: number of objects whose mesh is exchanged.
     reasons: why, by full name of objects of which culled instances could not be removed.
     """
 
@@ -52,6 +55,7 @@ class WritebackResult:
     face_hosts: int
     faces_removed: int
     whole: dict[str, int]
+    simplified: int
     sources: int
     reasons: dict[str, str]
 
@@ -66,6 +70,7 @@ class WritebackResult:
             "face_hosts": self.face_hosts,
             "faces_removed": self.faces_removed,
             "whole": dict(self.whole),
+            "simplified_objects": self.simplified,
             "emptied_sources": self.sources,
         }
 
@@ -80,6 +85,7 @@ def apply(
     in_render: bool = False,
     faces: Mapping[str, NDArray[np.bool_]] = EMPTY,
     free: bool = False,
+    levels: Mapping[str, Level] = NO_LEVELS,
 ) -> WritebackResult:
     """Remove culled instances from renders of the open file.
 
@@ -91,14 +97,15 @@ def apply(
     in_render: a handler of a render calls. free: empty the sources of which nothing stays, too, which the viewport
     shows; not together with places, by which what is culled may come back.
     faces: by the full name of an object, (F,) bool, those faces of its mesh that stay, behind all its modifiers; of
-    other objects all do.
+    other objects all do. levels: by the full name of an object, what takes the place of its mesh, which the viewport
+    shows, too.
     What an earlier call did is taken back first, so calling twice is as calling once. All or nothing: where something
     fails, what was done is taken back. Raises ValueError where the lengths differ.
     """
     if len(culled) != len(keys.records):
         raise ValueError(f"{len(culled)} states for {len(keys.records)} instances")
     restore(in_render)
-    plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render, faces, free and not places)
+    plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render, faces, free and not places, levels)
     emitters = len({e.name_full for e, _ in plan.particle_modifiers})
     cut = len(plan.faces), sum(int(np.count_nonzero(gone)) for _, gone in plan.faces)
     result = WritebackResult(
@@ -109,6 +116,7 @@ def apply(
         emitters,
         *cut,
         plan.whole,
+        len(plan.levels),
         len(plan.sources),
         plan.reasons,
     )
@@ -139,7 +147,9 @@ def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:
         ((ob, marks.particles(ob.modifiers[name])) for ob, name in plan.particle_modifiers),
     )
     emptied = ((ob, word) for ob in plan.sources for word in emptying.words(ob))
-    marks.write([*hidden, *off, *((host, marks.MASKED) for host, _ in (*plan.masks, *plan.faces)), *emptied])
+    exchanged = ((ob, marks.SIMPLIFIED) for ob, _ in plan.levels)
+    masked = ((host, marks.MASKED) for host, _ in (*plan.masks, *plan.faces))
+    marks.write([*hidden, *off, *exchanged, *masked, *emptied])
     marks.set_hidden(list(plan.objects), True, in_render)
     for emitter, modifier in plan.particle_modifiers:
         emitter.modifiers[modifier].show_render = False
@@ -148,3 +158,4 @@ def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:
     for ob, gone in plan.faces:
         face_mask.add(ob, gone)
     emptying.empty(plan.sources)
+    simplify(plan.levels)

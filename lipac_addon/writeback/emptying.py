@@ -17,6 +17,7 @@ from .references import is_animated
 
 NAME = "LiPaC stand-in"
 _STAND_IN = "stand-in"  # the mark of these
+LEVEL = "level"  # and of simplified meshes (`levels`)
 _KEPT = "lipac_kept"  # the custom property that points to the data
 _CURVES = {"CURVE", "SURFACE", "FONT"}
 
@@ -45,12 +46,12 @@ def empty(objects: Iterable[bpy.types.Object]) -> None:
             kind = ob.type, len(ob.data.materials)
             if kind not in stand_ins:
                 stand_ins[kind] = _new(*kind)
-            _exchange(ob, stand_ins[kind])
+            exchange(ob, stand_ins[kind])
 
 
 def fill_all() -> bool:
-    """Put back what emptied objects had, and remove the stand-ins; True where there was something. Modifiers have
-    marks."""
+    """Put back what objects had whose data were exchanged, and remove what they had meanwhile; True where there was
+    something. Modifiers have marks."""
     emptied = [ob for ob in bpy.data.objects if _KEPT in ob]
     for ob in emptied:
         data = ob[_KEPT]
@@ -80,7 +81,8 @@ def drop_kept() -> None:
             del ob[_KEPT]
 
 
-def _exchange(ob: bpy.types.Object, stand_in: bpy.types.ID) -> None:
+def exchange(ob: bpy.types.Object, stand_in: bpy.types.ID) -> None:
+    """Give an object other data; what it had is kept."""
     ob[_KEPT] = ob.data
     ob.data = stand_in
 
@@ -120,7 +122,11 @@ def _new(kind: str, slots: int) -> bpy.types.ID:
 
 def _is_stand_in(data: bpy.types.ID) -> bool:
     """Whether data bears our mark, and is what we make: anyone can copy a mark."""
-    if data.get(marks.KEY) != _STAND_IN or data.library is not None:
+    if data.library is not None:
+        return False
+    if data.get(marks.KEY) == LEVEL:
+        return isinstance(data, bpy.types.Mesh) and len(data.loops) == 3 * len(data.polygons)
+    if data.get(marks.KEY) != _STAND_IN:
         return False
     return (
         not data.vertices

@@ -6,8 +6,9 @@ marks of these are on an object of our own, which points to them.
 
 A mark is a list of words: `HIDDEN` for the object's own switch, `PARTICLES` and a number for the render switch of the
 modifier with that persistent number, `MASKED` for a mask modifier, `EMPTIED` for a source that shows nothing
-(`emptying`), `MODIFIER` and a number for its modifiers. All switches were on before, else they are not touched, so the
-old value needs no storing. A word that fits nothing does nothing.
+(`emptying`), `MODIFIER` and a number for its modifiers, `SIMPLIFIED` for one whose mesh is exchanged (`levels`). All
+switches were on before, else they are not touched, so the old value needs no storing. A word that fits nothing does
+nothing.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ HIDDEN = "hide_render"
 PARTICLES = "particles:"
 MASKED = "masked"
 EMPTIED = "emptied"
+SIMPLIFIED = "simplified"
 MODIFIER = "modifier:"
-_WORDS = {HIDDEN, MASKED, EMPTIED}
+_WORDS = {HIDDEN, MASKED, EMPTIED, SIMPLIFIED}
 _RECORD = "overrides"  # the mark of the object that bears those of library overrides; also the name of its list
 _NAME = "LiPaC overrides"
 

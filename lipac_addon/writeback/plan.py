@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import Records
+from ...core.files.level import Level
 from ..keys import Keys, Kind, full_name
 from .emptying import can_be_emptied
 from .references import References, instances_others, is_animated, scenes_in_picture, simulates, takes_modifiers
@@ -19,6 +20,7 @@ from .sources import unread
 
 Mask = NDArray[np.bool_]
 EMPTY: Mapping[str, Mask] = MappingProxyType({})
+NO_LEVELS: Mapping[str, Level] = MappingProxyType({})
 
 # Why a culled instance stays; the words of the report and of docs/write-back.md
 MISSING = "its object is gone"
@@ -55,9 +57,9 @@ class Plan:
     """objects: to hide; masks: hosts and (R,) bool rows to delete; particle_modifiers: emitters and modifier names to
     switch off; sources: objects to empty.
 
-    faces: objects and (F,) bool faces to delete. removed: (N,) bool, the instances that go; kept: culled ones that
-    stay, by reason; whole: objects that keep all faces, by reason; reasons: why, by name of objects of which culled
-    instances stay.
+    faces: objects and (F,) bool faces to delete. levels: objects and what takes the place of their meshes. removed:
+    (N,) bool, the instances that go; kept: culled ones that stay, by reason; whole: objects that keep all faces, by
+    reason; reasons: why, by name of objects of which culled instances stay.
     """
 
     objects: tuple[bpy.types.Object, ...]
@@ -65,6 +67,7 @@ class Plan:
     particle_modifiers: tuple[tuple[bpy.types.Object, str], ...]
     sources: tuple[bpy.types.Object, ...]
     faces: tuple[tuple[bpy.types.Object, Mask], ...]
+    levels: tuple[tuple[bpy.types.Object, Level], ...]
     removed: Mask
     kept: dict[str, int]
     whole: dict[str, int]
@@ -79,12 +82,13 @@ def make_plan(
     in_render: bool = False,
     faces: Mapping[str, Mask] = EMPTY,
     free: bool = False,
+    levels: Mapping[str, Level] = NO_LEVELS,
 ) -> Plan:
-    """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render, faces, free: as
-    of `apply`."""
-    if not culled.any() and not faces:
-        return Plan((), (), (), (), (), np.zeros(len(culled), bool), {}, {}, {})
-    return Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan(faces, free)
+    """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render, faces, free,
+    levels: as of `apply`."""
+    if not culled.any() and not faces and not levels:
+        return Plan((), (), (), (), (), (), np.zeros(len(culled), bool), {}, {}, {})
+    return Planner(np.asarray(culled, bool), keys, scene, lasting, in_render).plan(faces, free, levels)
 
 
 @dataclass(frozen=True)
@@ -218,16 +222,19 @@ class Planner(Obstacles):
         self.object_reason: dict[int, str] = {}  # name index: why the object cannot be hidden
         self.host_reason: dict[int, str] = {}  # name index: why the host cannot be masked or switched off
 
-    def plan(self, faces: Mapping[str, Mask], free: bool) -> Plan:
+    def plan(self, faces: Mapping[str, Mask], free: bool, levels: Mapping[str, Level] = NO_LEVELS) -> Plan:
         hidden = self.hidden_objects()
         masks = tuple(self.masks(hidden))
         particles = tuple(self.particle_modifiers(hidden))
         self.removed &= self.culled
         sources = tuple(self.sources()) if free else ()
         whole: Counter[str] = Counter()
-        cut = tuple(self.faces(faces, {*hidden.values(), *sources}, whole))
+        gone = {*hidden.values(), *sources}
+        simplified = tuple(self.levels(levels, gone, whole))
+        cut = tuple(self.faces(faces, gone | {ob for ob, _ in simplified}, whole))
         kept, reasons = self.kept()
-        return Plan(tuple(hidden.values()), masks, particles, sources, cut, self.removed, kept, dict(whole), reasons)
+        means = tuple(hidden.values()), masks, particles, sources, cut, simplified
+        return Plan(*means, self.removed, kept, dict(whole), reasons)
 
     def hidden_objects(self) -> dict[int, bpy.types.Object]:
         """Objects to hide by their name index."""
@@ -299,21 +306,42 @@ class Planner(Obstacles):
             ob = self.found.get(name)
             if ob in hidden or mask.all():
                 continue
-            reason = self.modifier_obstacle(ob)
-            if ob is not None and reason is None:
-                reason = (
-                    SIMULATION
-                    if simulates(ob)
-                    else MORE
-                    if self.references.carries_more(ob)
-                    else SHAPES
-                    if self.references.shapes_others(ob)
-                    else None
-                )
+            reason = self.modifier_obstacle(ob) or self.shape_obstacle(ob)
             if ob is None or reason is not None:
                 whole[reason or MISSING] += 1
             else:
                 yield ob, ~mask
+
+    def shape_obstacle(self, ob: bpy.types.Object | None) -> str | None:
+        """Why an object must keep its shape; None where it need not."""
+        if ob is None:
+            return MISSING
+        if simulates(ob):
+            return SIMULATION
+        if self.references.carries_more(ob):
+            return MORE
+        return SHAPES if self.references.shapes_others(ob) else None
+
+    def levels(
+        self, levels: Mapping[str, Level], hidden: set[bpy.types.Object], whole: Counter[str]
+    ) -> Iterator[tuple[bpy.types.Object, Level]]:
+        """Objects whose mesh is exchanged, and for what; of those that share one all or none; why others keep theirs
+        goes into whole."""
+        shared: dict[bpy.types.ID | None, list[tuple[bpy.types.Object | None, Level, str | None]]] = {}
+        for name, level in levels.items():
+            ob = self.found.get(name)
+            if ob is None or ob not in hidden:
+                reason = self.shape_obstacle(ob)
+                if ob is not None and reason is None:
+                    reason = self.any_change(ob) if can_be_emptied(ob) else LINKED
+                alone = ob is None or len(ob.modifiers) > 0
+                shared.setdefault(ob if ob is None or alone else ob.data, []).append((ob, level, reason))
+        for members in shared.values():
+            reasons = [reason for ob, _, reason in members if ob is None or reason is not None]
+            if reasons:
+                whole[reasons[0] or MISSING] += len(members)
+            else:
+                yield from ((ob, level) for ob, level, _ in members if ob is not None)
 
     def sources(self) -> list[bpy.types.Object]:
         """Objects that something instances, and that no instance shows which stays: what they look like is of no use to

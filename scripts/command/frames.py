@@ -171,7 +171,8 @@ def ahead_arguments(args: argparse.Namespace, alone: bool) -> tuple[str, ...]:
         "seed": args.seed,
     }
     said |= {name.replace("_", "-"): getattr(args, name) for name in ("camera", "max_error", "min_share", "paths")}
-    flags = [f"--{name}" for name in ("warm", "no-mitigation", "no-parts") if getattr(args, name.replace("-", "_"))]
+    switches = ("warm", "no-mitigation", "no-parts", "levels")
+    flags = [f"--{name}" for name in switches if getattr(args, name.replace("-", "_"))]
     return (
         str(args.scene),
         *flags,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
@@ -97,6 +98,11 @@ def scene_parser(command: str, description: str) -> Parser:
         help="light-paths: keep or cull meshes as a whole; else large ones are culled by parts",
     )
     shot.add_argument(
+        "--levels",
+        action="store_true",
+        help="light-paths: exchange meshes of what stays for simplified ones, as far as --max-error allows",
+    )
+    shot.add_argument(
         "--no-mitigation",
         action="store_true",
         help="with --warm: do not activate what comes into view before light paths ask for it",
@@ -149,6 +155,7 @@ def cull_options(args: argparse.Namespace) -> CullOptions:
         threads=args.threads,
         mitigation=not args.no_mitigation,
         parts=_by_parts(args),
+        levels=args.levels,
         **said,
     )
 
@@ -194,6 +201,7 @@ def check(args: argparse.Namespace) -> None:
             "--enforce keeps to --max-error: it goes with --cull light-paths, without --min-share and --warm"
         )
     check_memory(args)
+    check_levels(args)
     check_device(args)
     if args.verify and args.cull == "none":
         raise InputError("--verify measures what culling changes: with --cull none nothing does")
@@ -215,6 +223,24 @@ def check_memory(args: argparse.Namespace) -> None:
         raise InputError("--memory goes on from --max-error: leave --cull, --min-share, --blas-budget and --warm out")
     if args.bake == "shot" or args.verify:
         raise InputError("--memory is for frames that decide by themselves: leave --bake shot and --verify out")
+
+
+def check_levels(args: argparse.Namespace) -> None:
+    """Raise InputError where meshes are to be exchanged for simplified ones, and cannot be."""
+    if not args.levels:
+        return
+    engine = getattr(args, "engine", "")
+    if args.cull != LIGHT_PATHS or args.min_share is not None or args.memory or args.blas_budget or args.warm:
+        raise InputError(
+            "--levels keeps to --max-error, frame by frame: it goes with --cull light-paths, without --min-share, "
+            "--memory, --blas-budget and --warm"
+        )
+    if (engine and engine not in BLENDER_ENGINES) or (not engine and args.verify):
+        raise InputError("--levels is of Blender's engines: --engine cycles or eevee, and of them --verify")
+    if args.bake == "shot":
+        raise InputError("--levels are of frames that decide by themselves: leave --bake shot out")
+    if find_spec("opengl_decimate") is None:
+        raise InputError("--levels needs the package opengl_decimate, which is missing: pip install opengl_decimate")
 
 
 def check_device(args: argparse.Namespace) -> None:

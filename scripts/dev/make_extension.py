@@ -18,7 +18,7 @@ from .lock import pins
 
 ROOT = Path(__file__).resolve().parents[2]
 MANIFEST = "blender_manifest.toml"
-LIBRARIES = ("numba", "llvmlite", "embreex")
+LIBRARIES = ("numba", "llvmlite", "embreex", "opengl-decimate")
 PYTHONS = ("311", "313")  # of Blender 5.0, and of 5.1 and later
 # Blender's name of a platform: pip's names, newest first
 PLATFORMS = {
@@ -77,7 +77,7 @@ def download(platform: str, pythons: Iterable[str], folder: Path) -> list[Path]:
         place = folder / platform / f"cp{python}"
         locked = pins({"python_full_version": f"{python[0]}.{python[1:]}.0"})
         wanted = {name: locked[name] for name in LIBRARIES}
-        if not all(any(place.glob(f"{name}-{version}-*.whl")) for name, version in wanted.items()):
+        if not all(any(place.glob(f"{name.replace('-', '_')}-{version}-*.whl")) for name, version in wanted.items()):
             names = [f"--platform={name}" for name in PLATFORMS[platform]]
             only = [
                 "--no-deps",
@@ -99,7 +99,7 @@ def download(platform: str, pythons: Iterable[str], folder: Path) -> list[Path]:
                 str(place),
             ]
             subprocess.run([*command, *(f"{name}=={version}" for name, version in wanted.items())], check=True)
-        found += [next(place.glob(f"{name}-{version}-*.whl")) for name, version in wanted.items()]
+        found += [next(place.glob(f"{name.replace('-', '_')}-{version}-*.whl")) for name, version in wanted.items()]
     return sorted(found)
 
 
@@ -183,10 +183,11 @@ def check(path: Path, platform: str, pythons: Iterable[str]) -> None:
     problems = [f"{name} is not in the manifest, or not in the zip" for name in wheels ^ listed]
     for python in pythons:
         for library in LIBRARIES:
+            begin = f"{library.replace('-', '_')}-"
             fitting = [
                 w
                 for w in wheels
-                if w.startswith(f"{library}-") and f"-cp{python}-" in w and any(p in w for p in PLATFORMS[platform])
+                if w.startswith(begin) and f"-cp{python}-" in w and any(p in w for p in PLATFORMS[platform])
             ]
             if len(fitting) != 1:
                 problems.append(f"{len(fitting)} wheels of {library} for Python {python} on {platform}")

@@ -9,10 +9,12 @@ import bpy
 import numpy as np
 
 from lipac.core.errors import InputError
+from lipac.core.files.level import Level
 from lipac.core.scene.model import Scene
 from lipac.lipac_addon import writeback
 from lipac.lipac_addon.console import muted
-from lipac.lipac_addon.extract import extract_frame
+from lipac.lipac_addon.extract import Extraction, extract_frame
+from lipac.lipac_addon.extract.geometry.meshes import corners_of, faces_of
 
 from . import fuzz_core
 from .choices import Seeded
@@ -246,11 +248,26 @@ def check(choose: Seeded, seed: int = 0) -> None:
     fuzz_core.check(scene, seed)
     with muted():
         culled = choose.numbers().random(len(scene.instances)) < 0.5
-        writeback.apply(culled, extraction.keys)
+        writeback.apply(culled, extraction.keys, levels=levels(extraction))
         writeback.restore()
         after = snapshot()
     changed = [name for name in before.keys() | after.keys() if before.get(name) != after.get(name)]
     assert not changed, f"not as before: {changed[:3]}"
+
+
+def levels(extraction: Extraction) -> dict[str, Level]:
+    """Some triangles of meshes that may be exchanged, drawn by their number, for every other of them."""
+    scene, out = extraction.scene, {}
+    rng = np.random.default_rng(len(scene.instances))
+    assert scene.simplifiable is not None
+    for number in np.flatnonzero(scene.simplifiable & (rng.random(len(scene.meshes)) < 0.5)).tolist():
+        mesh = scene.meshes.sources[number].geometry.mesh  # type: ignore[attr-defined]
+        corners = corners_of(mesh)
+        chosen = rng.random(len(corners)) < 0.5
+        level = Level(corners[chosen], faces_of(mesh)[chosen])
+        shown = extraction.keys.records["object"][scene.instances.mesh == number]
+        out.update({extraction.keys.names[n]: level for n in np.unique(shown[shown >= 0]).tolist() if chosen.any()})
+    return out
 
 
 def same(a: Scene, b: Scene) -> bool:

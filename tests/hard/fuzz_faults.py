@@ -87,19 +87,20 @@ def interrupted(choose: Seeded, what: str) -> str:
         bpy.context.view_layer.update()
         before = fuzz_blender.snapshot()
         try:
-            keys = extract_frame(bpy.context.scene).keys
+            extraction = extract_frame(bpy.context.scene)
         except InputError:
             return "nothing to cull"
+        keys, simple = extraction.keys, fuzz_blender.levels(extraction)
         one, other = (choose.numbers().random(len(keys.records)) < share for share in (0.5, 0.8))
         culled_before = what == "restore" or choose.integer(0, 1) == 1
         do: Callable[[], object] = (
-            writeback.restore if what == "restore" else lambda: writeback.apply(other, keys, free=True)
+            writeback.restore if what == "restore" else lambda: writeback.apply(other, keys, free=True, levels=simple)
         )
 
         def begin() -> None:
             writeback.restore()
             if culled_before:
-                writeback.apply(one, keys, free=True)
+                writeback.apply(one, keys, free=True, levels=simple)
 
         begin()
         with raising(0, KeyboardInterrupt) as lines:

@@ -117,6 +117,12 @@ class MeshTable:
         boxes = [NO_BOUNDS if source is None else source.local_bounds() for source in self.sources]
         return np.stack(boxes) if boxes else np.zeros((0, 2, 3), np.float32)
 
+    def simplifiable(self) -> NDArray[np.bool_]:
+        """(M,) bool, as `core.scene.model.Scene.simplifiable`."""
+        return np.array(
+            [s is not None and bool(s.simplifiable) and not s.broken and s.relief is None for s in self.sources], bool
+        )
+
     def finish(self, textured: set[int], uv_maps: tuple[str, ...]) -> tuple[I32, I32]:
         """End a frame. textured: meshes with a material that needs UVs; uv_maps: `core.scene.model.Scene.uv_maps`.
 

@@ -34,7 +34,8 @@ class MeshSource:
     origin: (3,) where its coordinates begin (`core.scene.placing.local_origin`), set when it is first placed; bounds
     are in Blender's own coordinates. divisible: whether faces of it may be culled by themselves, so that their numbers
     are read.
-    relief: how its materials displace it, in metres of its own space; None where none does.
+    relief: how its materials displace it, in metres of its own space; None where none does. simplifiable: whether all
+    objects that show it let it be exchanged for a simplified one; None before one was asked.
     loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the
     first who asks.
     """
@@ -50,6 +51,7 @@ class MeshSource:
     ready: Mesh | None = None
     relief: Relief | None = None
     divisible: bool = False
+    simplifiable: bool | None = None
 
     def box(self) -> F32:
         """(2, 3) box of what `load` gives, in Blender's own coordinates."""
@@ -178,7 +180,7 @@ def _uv(mesh: Any, name: str) -> F32:
     return np.zeros((count, 2), np.float32) if layer is None else read(layer.uv, "vector", count, 2)
 
 
-def _corners(mesh: Any) -> NDArray[np.int32]:
+def corners_of(mesh: Any) -> NDArray[np.int32]:
     """(T, 3) corners of the triangles of a mesh.
 
     Blender gives them out one by one, which takes most of the time that reading a mesh takes. They lie in one array,
@@ -195,12 +197,17 @@ def _corners(mesh: Any) -> NDArray[np.int32]:
     return read(triangles, "loops", count, 3, np.int32)
 
 
+def faces_of(mesh: Any) -> NDArray[np.int32]:
+    """(T,) face that each triangle of a mesh is a part of."""
+    return read(mesh.loop_triangle_polygons, "value", len(mesh.loop_triangles), dtype=np.int32)
+
+
 def _slots(mesh: Any) -> NDArray[np.uint16]:
     """(T,) material slot of each triangle."""
     index, count = mesh.attributes.get("material_index"), len(mesh.loop_triangles)
     if index is None or index.domain != "FACE":
         return np.zeros(count, np.uint16)
-    faces = read(mesh.loop_triangle_polygons, "value", count, dtype=np.int32)
+    faces = faces_of(mesh)
     return read(index.data, "value", len(mesh.polygons), dtype=np.int32)[faces].astype(np.uint16)
 
 
@@ -208,7 +215,7 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
     """Reads the triangles of a mesh. Triangles with a vertex that is not finite are left out."""
     mesh = source.geometry.mesh
     positions = _positions(mesh)
-    corners = _corners(mesh)
+    corners = corners_of(mesh)
     vertices = read(mesh.attributes[".corner_vert"].data, "value", len(mesh.loops), dtype=np.int32)[corners]
     kept: slice | NDArray[np.bool_] = slice(None)
     if source.broken:
@@ -232,7 +239,7 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
     triangles: U32 = np.ascontiguousarray(vertices[kept]).view(np.uint32)
     faces = None
     if source.divisible and len(corners) != len(mesh.polygons):
-        faces = read(mesh.loop_triangle_polygons, "value", len(corners), dtype=np.int32)[kept]
+        faces = faces_of(mesh)[kept]
     out = Mesh(positions, triangles, normals, uvs, slots, faces)
     return (
         out

@@ -12,6 +12,7 @@ import pytest
 
 from lipac.core.errors import InputError
 from lipac.core.files.atomic import replacing
+from lipac.core.files.level import Level
 from lipac.core.files.report import FIELDS, Report, load_states, output_folder, save_states, size
 from lipac.lipac_addon.keys import KEY, MAX_DEPTH
 
@@ -80,7 +81,10 @@ def test_states_come_back(tmp_path):
     )
     boxes = rng.random((7, 2, 3))
     faces = {"a": rng.random(1001) < 0.5, "lib\nb": rng.random(3) < 0.5}
-    save_states(tmp_path / "s.npz", state, score, hits, keys, ("a", "lib\nb"), boxes=boxes, faces=faces)
+    one = Level(rng.integers(0, 99, (5, 3)).astype(np.int32), np.arange(5, dtype=np.int32))
+    levels = {"a": one, "lib\nb": Level(one.corners[:2], one.faces[:2]), "c": one}
+    names = ("a", "lib\nb")
+    save_states(tmp_path / "s.npz", state, score, hits, keys, names, boxes=boxes, faces=faces, levels=levels)
     with np.load(tmp_path / "s.npz") as found:
         assert (found["state"] == state).all()
         assert (found["score"] == score).all()
@@ -95,6 +99,10 @@ def test_states_come_back(tmp_path):
         assert found["names"].tolist() == ["a", "lib\nb"]
         assert (found["boxes"] == boxes).all()
     back = load_states(tmp_path / "s.npz")
+    assert list(back.levels) == list(levels) and back.levels["a"] is back.levels["c"]
+    for name, level in levels.items():
+        assert np.array_equal(back.levels[name].corners, level.corners)
+        assert np.array_equal(back.levels[name].faces, level.faces)
     assert (
         (back.state == state).all() and (back.hits == hits).all() and back.names == ("a", "lib\nb") and back.note == ""
     )

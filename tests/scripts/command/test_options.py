@@ -54,3 +54,30 @@ def test_each_engine_is_treated_as_its_row_says(engine: Engine, tmp_path: Path) 
     assert engine.hardware
     with pytest.raises(InputError, match=engine.hardware):
         check_device(args)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--min-share", "0.001"),
+        ("--cull", "frustum"),
+        ("--memory", "4G"),
+        ("--blas-budget", "1G"),
+        ("--warm",),
+        ("--bake", "shot"),
+    ],
+)
+def test_levels_are_of_frames_with_a_budget(options: tuple[str, ...], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^--levels"):
+        check(parsed(tmp_path, "cycles", "--levels", *options))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_levels_are_of_blenders_engines(engine: str, tmp_path: Path) -> None:
+    args = parsed(tmp_path, engine, "--levels")
+    if engine in BLENDER_ENGINES:
+        check(args)
+        assert cull_options(args).levels and not cull_options(parsed(tmp_path, engine)).levels
+        return
+    with pytest.raises(InputError, match=r"^--levels is of Blender's engines"):
+        check(args)

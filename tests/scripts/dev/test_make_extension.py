@@ -15,7 +15,7 @@ import pytest
 
 from lipac.scripts.dev import make_extension
 
-OURS = ("numba", "llvmlite", "embreex", "lipac", "__editable__")
+OURS = ("numba", "llvmlite", "embreex", "opengl_decimate", "lipac", "__editable__")
 PYTHON = f"{sys.version_info[0]}{sys.version_info[1]}"
 
 USE = """
