@@ -28,6 +28,7 @@ from ...core.progress import Progress, part, silent
 from ...core.scene.model import Scene
 from .. import writeback
 from ..console import muted
+from ..depsgraph import changed
 from ..pictures import read_picture, save_pixels
 from .engines.blender import render_blender
 from .engines.choices import AS_SET, DeviceChoice
@@ -167,10 +168,11 @@ def _blender_crops(
     crops: tuple[Crop, ...],
     progress: Progress = silent,
 ) -> list[F32]:
-    """Each crop of the open file's current frame, as it is now, by one of Blender's engines: (h, w, 4) float32. Options
-    as of `render_blender`."""
+    """Each crop of the open file's current frame, as it is now, by one of Blender's engines: (h, w, 4) float32, not
+    denoised: what a denoiser makes of noise is as smooth as a change. Options as of `render_blender`."""
     out = []
-    with tempfile.TemporaryDirectory(prefix="lipac") as folder:
+    noisy = changed(bpy.context.scene.cycles, use_denoising=False)
+    with tempfile.TemporaryDirectory(prefix="lipac") as folder, noisy:
         for k, (x, y) in enumerate(crops):
             stem = Path(folder) / f"{x}{y}"
             border = (x / GRID[0], y / GRID[1], (x + 1) / GRID[0], (y + 1) / GRID[1])

@@ -94,6 +94,23 @@ def test_nothing_culled_measures_as_nothing(boxes: Any, tmp_path: Path) -> None:
     assert "the same in crops, rendered by cycles: 0 % in the mean" in report.table()
 
 
+def test_crops_are_not_denoised(boxes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A denoiser's blotches are as smooth as a change: they told of a lamp in a shade that its budget was broken
+    fivefold, which 2,000 samples do not show."""
+    cycles, seen = bpy.context.scene.cycles, []
+    cycles.use_denoising = True
+    render = verifying.render_blender
+
+    def watched(*args: Any) -> Any:
+        seen.append(cycles.use_denoising)
+        return render(*args)
+
+    monkeypatch.setattr(verifying, "render_blender", watched)
+    verifying.verified_blender("cycles", tmp_path / "crops", 1, 0, 1, 1)
+    assert seen == [False, False]  # culled, and full
+    assert cycles.use_denoising
+
+
 def test_crops_differ_from_each_other_and_by_seed() -> None:
     assert len(set(random_crops(ALL, 0))) == ALL
     picks = {random_crops(2, seed) for seed in range(20)}
