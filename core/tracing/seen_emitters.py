@@ -20,7 +20,7 @@ from numba import njit
 from ..accel.embree import INST_ID, INST_PRIM_ID, PRIM_ID, RAY, TFAR
 from ..accel.tlas import Tlas
 from ..arrays import F64, I32, I64
-from ..feedback.tiles import COLUMNS, ROWS, TILES
+from ..feedback.tiles import COLUMNS, ROWS, TILES, tiles_of
 from ..jit.pointers import f32_pointer, load_f32, load_i32, load_i64, load_u8, load_u32, offset
 from ..jit.sampling import INNER, OPTIONS, normalize, path_key, uniform2
 from ..scene.frustum import View
@@ -107,8 +107,7 @@ def seen_emitters(prepared: Prepared, tlas: Tlas, size: tuple[int, int], seed: i
     seen = tile >= 0
     place = (np.arange(len(rows))[:, None] * TILES + tile)[seen]
     named, number = np.unique(place, return_inverse=True)
-    pixels = (np.bincount(np.arange(size[1]) * ROWS // size[1])[:, None] * np.bincount(
-        np.arange(size[0]) * COLUMNS // size[0])).ravel()
+    pixels = np.bincount(tiles_of(size[1], size[0]).ravel(), minlength=TILES)
     sums = np.stack([np.bincount(number, color[..., c][seen], len(named)) for c in range(3)], axis=1)
     tiles = (named % TILES).astype(np.int32)
     return SeenEmitters(rows[named // TILES], tiles, sums / np.maximum(pixels, 1)[tiles][:, None])
