@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.files.level import Level
-from ..extract import Extraction
-from ..extract.geometry.meshes import corners_of, faces_of
 from . import marks
 from .emptying import LEVEL, exchange
 
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
+    from ..extract import Extraction
 
 NAME = "LiPaC level"
 # of an attribute's values, by its type: name, numbers of each, their type
@@ -46,6 +45,8 @@ _OWN = {"position", "custom_normal"}
 def levels_of(extraction: Extraction, result: CullingResult) -> dict[str, Level]:
     """What takes the place of meshes, by full name of the objects that show them, by a result for the frame that was
     extracted. Objects with the same mesh have the same `Level`."""
+    from ..extract.geometry.meshes import corners_of, faces_of  # which loads kernels: not where an add-on registers
+
     out: dict[str, Level] = {}
     mesh, ob = extraction.scene.instances.mesh, extraction.keys.records["object"]
     for number, stand_in in result.stand_ins.items():

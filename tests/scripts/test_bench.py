@@ -80,7 +80,7 @@ def test_report_says_machine_command_peers_and_ratios() -> None:
         },
     }
     lines = bench.report(results).splitlines()
-    assert "`lipac bench` on M." in lines
+    assert "`lipac bench`: M." in lines
 
     def ratio(*words: str) -> str:
         return next(line.split("|")[5].strip() for line in lines if all(word in line for word in words))

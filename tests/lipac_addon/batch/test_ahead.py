@@ -108,6 +108,7 @@ def test_when_it_is_done(monkeypatch):
         "warm": True,
         "no_mitigation": False,
         "no_parts": False,
+        "levels": False,
         "memory": None,
         "frames": (1, 2),
     }
