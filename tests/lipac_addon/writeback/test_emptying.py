@@ -280,14 +280,14 @@ def test_half_way(new_file, census_keys, snapshot, monkeypatch):
     """All or nothing: a second object that fails leaves the first as it was."""
     picked()
     keys, _ = census_keys()
-    before, exchange, done = snapshot(), emptying._exchange, []
+    before, exchange, done = snapshot(), emptying.exchange, []
 
     def fail(ob, stand_in):
         exchange(ob, stand_in)
         done.append(ob)
         raise MemoryError
 
-    monkeypatch.setattr(emptying, "_exchange", fail)
+    monkeypatch.setattr(emptying, "exchange", fail)
     with pytest.raises(MemoryError):
         apply(of_unseen(keys), keys, free=True)
     assert done
