@@ -6,7 +6,9 @@ camera. So points on each small emitter are connected to the camera, as light tr
 not depend on how small or how bright an emitter is.
 
 Erring on the side of seeing more: what is not surely opaque is looked through without loss, what is not built stands in
-nothing's way, a textured emitter is as bright as its strength, and depth of field moves nothing to another tile.
+nothing's way, and a textured emitter is as bright as its strength. Not modelled: an emitter out of focus, or that the
+camera's motion blurs, counts where the sharp picture has it, and what emits without being sampled as a light is left to
+paths.
 """
 
 from __future__ import annotations
