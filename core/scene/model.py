@@ -88,6 +88,14 @@ class AreaShape(IntEnum):
     ELLIPSE = 1
 
 
+class Unsure(IntFlag):
+    """`MATERIAL["unsure"]`: what of an approximation is not known."""
+
+    BEHIND = 1  # how much is seen through it: what is, is kept
+    CLEAR = 2  # whether it is there at all: it is kept where paths meet it, and some paths pass all such materials
+    LIGHT = 4  # how much light comes by it: changes are relative to none of it
+
+
 class InstanceFlag(IntFlag):
     """`Instances.flags`: one visibility bit per `RayType` (bit value 1 << RayType), then these."""
 
@@ -137,8 +145,7 @@ MATERIAL = np.dtype(
         ("mis_emission", "u1"),  # 1: its emission is sampled as a light (Blender's "Emission Sampling")
         ("single_sided_emission", "u1"),  # 1: emits from the front side only
         ("rays", "u2"),  # of BY_RAY: a bit per view that sees the second part
-        # 1: an approximation; how much passes through is not known, so all that is seen through it is to be kept
-        ("unsure", "u4"),
+        ("unsure", "u4"),  # `Unsure`
         # 1: how much it emits is not known; `emission` is the most that it may be
         ("unsure_emission", "u4"),
         # of MIX and BY_RAY: rows of two materials, never in a cycle; emission there is the brightest of theirs

@@ -11,7 +11,7 @@ from ..accel.embree import _occluded1 as rtc_occluded
 from ..jit.atomics import pointer
 from ..jit.pointers import f32_pointer, load_u8, load_u32
 from ..jit.sampling import INNER, normalize, power_heuristic
-from ..scene.model import VIEWS, RayType
+from ..scene.model import VIEWS, RayType, Unsure
 from .bsdf.evaluate import bsdf_eval
 from .bsdf.lobes import BACKFACING, C_EMISSION, F_N, O_PDF
 from .bsdf.setup import bsdf_setup, bsdf_transparency
@@ -32,6 +32,7 @@ from .lights.light_sampling import (
 )
 from .materials import (
     M_SHADER,
+    M_UNSURE,
     attenuates_emission,
     composed,
     emission,
@@ -80,6 +81,7 @@ from .surface import (
 _CAMERA, _SHADOW, _NEAREST = int(RayType.CAMERA), np.int64(RayType.SHADOW), np.int64(1)
 _LIGHT, _VIEWS = np.int64(LIGHT_VIEW), np.int64(VIEWS)
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_CLEAR = np.uint32(Unsure.CLEAR)
 # What a ray from far away adds to the error at its end, per distance: 12 roundings to take its origin there, 5 of the
 # distance to the plane, 4 of its length.
 _REACH = np.float32(24 * 2.0**-24)
@@ -153,12 +155,16 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
             )
             view = _SHADOW + (_VIEWS if face(w.far_frame, dx, dy, dz) else np.int64(0))
             material = part_of(s.table, mesh, material, triangle, b1, b2, view, hit_number(triangle, b1, b2))
-        material_alpha(s.table, mesh, material, triangle, b1, b2, w.far_params)
-        bsdf_transparency(w.far_params, np.int64(load_u32(material + M_SHADER, 0)), w.out)
-        for k in range(3):
-            w.radiance[k] *= np.float32(w.out[k])
-        if weighed:
-            add_worth(s, w, entry, arriving - luminance_of(w.radiance[0], w.radiance[1], w.radiance[2]))
+        if load_u32(material + M_UNSURE, 0) & _CLEAR:  # all light may pass, and none
+            if weighed:
+                add_worth(s, w, entry, FAR)
+        else:
+            material_alpha(s.table, mesh, material, triangle, b1, b2, w.far_params)
+            bsdf_transparency(w.far_params, np.int64(load_u32(material + M_SHADER, 0)), w.out)
+            for k in range(3):
+                w.radiance[k] *= np.float32(w.out[k])
+            if weighed:
+                add_worth(s, w, entry, arriving - luminance_of(w.radiance[0], w.radiance[1], w.radiance[2]))
         if not (w.radiance[0] > _ZERO or w.radiance[1] > _ZERO or w.radiance[2] > _ZERO):
             return False
         interpolate(

@@ -17,7 +17,7 @@ from numba import njit
 from ..accel.embree import HIT_U, HIT_V, PRIM_ID, TFAR
 from ..jit.pointers import load_u8, load_u32
 from ..jit.sampling import INNER, mix, normalize, power_heuristic, uniform2
-from ..scene.model import VIEWS, InstanceFlag, RayType, Shader
+from ..scene.model import VIEWS, InstanceFlag, RayType, Shader, Unsure
 from .bsdf.lobes import (
     BACKFACING,
     C_EMISSION,
@@ -95,10 +95,14 @@ from .surface import T_FLAGS, T_TRANSFORM, face, interpolate, mesh_record, offse
 _CAMERA, _DIFFUSE_RAY, _GLOSSY_RAY, _TRANSMISSION_RAY = (int(t) for t in RayType if t != RayType.SHADOW)
 _HOLDOUT_FLAG = int(InstanceFlag.HOLDOUT)
 _VIEWS = np.int64(VIEWS)
+_CLEAR = np.uint32(Unsure.CLEAR)
+_BEHIND = np.uint32(Unsure.BEHIND)
+_PASSING = np.uint64(7)  # one path in so many and one passes all that may not be there
 _HOLDOUT = int(Shader.HOLDOUT)
 _ZERO, _ONE, _THIRD = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 3.0)
 _DIMENSIONS = 4  # pairs of numbers per vertex
 _INSTANCE_BYTES = np.uint64(48)
+_SALT = np.uint64(0x636C656172)
 
 
 @njit(**INNER)
@@ -121,6 +125,7 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
     stop = False  # too many transparent surfaces: ends at the next surface
     after_diffuse = False
     through = False  # it has passed straight on through something of which we do not know how much that lets through
+    clear = mix(key + _SALT) & _PASSING == np.uint64(0)  # it passes whatever may not be there
     mis = bounce > 0  # False: a literal would compile what it is given to once more
     pdf = min_pdf = FAR
     px, py, pz = ox, oy, oz  # where the last bounce was
@@ -235,6 +240,9 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             )
             shader = np.int64(load_u32(material + M_SHADER, 0))
             glows = emits(material)
+        unsure = load_u32(material + M_UNSURE, 0)
+        if unsure & _CLEAR and watched and s.weights != np.uint64(0) and not first:
+            add_worth(s, w, entry_of(s, w.ray_words), FAR)
         if background and (shader == _HOLDOUT or np.int64(load_u8(s.table[T_FLAGS], instance)) & _HOLDOUT_FLAG != 0):
             w.total[3] += (tr + tg + tb) * _THIRD
             return
@@ -269,7 +277,9 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         tr *= f
         tg *= f
         tb *= f
-        if last:
+        if clear and unsure & _CLEAR:
+            label = np.int64(TRANSPARENT)
+        elif last:
             label = np.int64(TRANSPARENT)
             tr *= np.float32(w.closure[C_TRANSPARENCY])
             tg *= np.float32(w.closure[C_TRANSPARENCY + 1])
@@ -291,7 +301,7 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             tb *= np.float32(w.out[O_WEIGHT + 2])
         if not (tr > _ZERO or tg > _ZERO or tb > _ZERO):
             return
-        if label & (TRANSPARENT | TRANSMIT) and load_u32(material + M_UNSURE, 0) != 0:
+        if label & (TRANSPARENT | TRANSMIT) and unsure & _BEHIND:
             through = True
         elif label & TRANSPARENT == 0:
             through = False

@@ -26,7 +26,7 @@ from ..feedback.tiles import COLUMNS, ROWS, TILES, tiles_of
 from ..jit.pointers import f32_pointer, load_f32, load_i32, load_i64, load_u8, load_u32, offset
 from ..jit.sampling import INNER, OPTIONS, normalize, path_key, uniform2
 from ..scene.frustum import View
-from ..scene.model import RayType, Scene, Shader
+from ..scene.model import RayType, Scene, Shader, Unsure
 from .lights.environment import find_interval
 from .lights.light_sampling import (
     L_CDF,
@@ -129,7 +129,7 @@ def _opaque(scene: Scene) -> np.ndarray:
     m = scene.materials
     shaders = [Shader.PRINCIPLED, Shader.DIFFUSE, Shader.GLOSSY, Shader.EMISSION, Shader.HOLDOUT]
     solid = (m["alpha"] >= 1) & (m["alpha_texture"] < 0) & (m["transmission"] == 0) & (m["transmission_texture"] < 0)
-    return np.asarray(np.isin(m["shader"], shaders) & solid & (m["unsure"] == 0))
+    return np.asarray(np.isin(m["shader"], shaders) & solid & (m["unsure"] & (Unsure.BEHIND | Unsure.CLEAR) == 0))
 
 
 @njit(**OPTIONS)

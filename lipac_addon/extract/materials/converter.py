@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ....core.arrays import Records
-from ....core.scene.model import Shader, default_material
+from ....core.scene.model import Shader, Unsure, default_material
 from .ranges import most_of
 from .reader import MEAN, Reader, Value, grey
 from .textures import TextureTable
-from .trees import UNKNOWN, Tree, black, clear, mixed, spread, unsure
+from .trees import UNKNOWN, Tree, black, clear, mark, mixed, spread, unsure
 
 HALF = grey(0.5)
 FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding
@@ -154,7 +154,8 @@ class Converter:
         record["shader"] = shader
         before = self.reader.doubts
         self.color(record, "base_color", self.reader.value(node.inputs["Color"]))
-        record["unsure"] = shader == Shader.TRANSPARENT and self.reader.doubts > before
+        if shader == Shader.TRANSPARENT and self.reader.doubts > before:
+            mark(record, Unsure.BEHIND | Unsure.CLEAR)
         if "Roughness" in node.inputs:
             field = "diffuse_roughness" if shader == Shader.DIFFUSE else "roughness"
             if field == "roughness":

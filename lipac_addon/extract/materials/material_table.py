@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ....core.arrays import Records
-from ....core.scene.model import VIEWS, Shader, default_material
+from ....core.scene.model import VIEWS, Shader, Unsure, default_material
 from . import nodes, shaders
 from .converter import Converter
 from .displacement import Relief, relief_of
@@ -99,7 +99,7 @@ class MaterialTable:
             tree = material.node_tree  # only the active output is inlined, and that one may be EEVEE's
         out = convert_tree(tree, self.textures, report, self.most)
         if loops:  # the constants in its place may be shares of anything
-            out = unsure(mixed(out, clear()))
+            out = unsure(mixed(out, clear()), whether=True)
         relief = relief_of(tree) if material.displacement_method != "BUMP" and self.most else None
         if relief is not None:
             far = "" if np.isfinite((relief.low, relief.high)).all() else ", as far as the object is large"
@@ -113,6 +113,8 @@ class MaterialTable:
             out = spread(out, UNKNOWN) if bumps and self.most else out
         for record in (*leaves(out), *heads(out)):
             record["mis_emission"] = material.cycles.emission_sampling != "NONE"
+            if not self.most:
+                record["unsure"] &= np.uint32(Unsure.BEHIND)
         return out, relief
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ....core.arrays import Records
-from ....core.scene.model import Shader, default_material
+from ....core.scene.model import Shader, Unsure, default_material
 from .converter import HALF, Converter
 from .reader import Value, grey
 from .trees import (
@@ -19,6 +19,7 @@ from .trees import (
     glowing_through,
     is_clear,
     leaves,
+    mark,
     mixed,
     unsure,
 )
@@ -53,7 +54,8 @@ def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
     for field in SCALARS:
         before, share = converter.reader.doubts, converter.reader.value(sockets[names[field]])
         if converter.reader.doubts > before and field in {"alpha", "transmission"}:
-            share, record["unsure"] = HALF, 1
+            share = HALF
+            mark(record, Unsure.BEHIND | Unsure.CLEAR if field == "alpha" else Unsure.BEHIND)
         converter.scalar(record, field, share)
     for field, name in CONSTANT.items():
         value = converter.reader.constant(sockets[name])
@@ -152,7 +154,7 @@ def node_bsdf_ray_portal(converter: Converter, node: Any) -> Tree:
 
 def node_script(converter: Converter, node: Any) -> Tree:
     converter.report("script not run: half of all rays pass")
-    return unsure(mixed(converter.other(node), clear()))
+    return unsure(mixed(converter.other(node), clear()), whether=True)
 
 
 def _mix(converter: Converter, first: Tree, second: Tree, share: Value) -> Tree:
@@ -196,7 +198,7 @@ def node_mix_shader(converter: Converter, node: Any) -> Tree | None:
         factor = grey(t)
     a, b = (black() if r is None else r for r in (a, b))
     if doubtful:
-        return unsure(_halves(converter, a, b))
+        return unsure(_halves(converter, a, b), whether=True)
     if isinstance(a, Composed) or isinstance(b, Composed):
         return _mix(converter, a, b, factor)
     for one, other, swapped in ((a, b, False), (b, a, True)):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....core.arrays import Records
-from ....core.scene.model import Shader, default_material
+from ....core.scene.model import Shader, Unsure, default_material
 
 UNKNOWN = 0.5  # roughness that stands for bumps: it spreads what is reflected over some 30 degrees
 
@@ -42,11 +42,23 @@ def heads(tree: Tree) -> Iterator[Records]:
         yield from heads(tree.second)
 
 
-def unsure(tree: Tree) -> Tree:
-    """The material, where it is not known how much passes through it."""
+def unsure(tree: Tree, whether: bool = False) -> Tree:
+    """The material, where it is not known how much passes through it. whether: nor that it does not pass all, or
+    none."""
+    clear = whether and any(_passes_straight(leaf) for leaf in leaves(tree))
     for leaf in leaves(tree):
-        leaf["unsure"] = 1
+        mark(leaf, Unsure.BEHIND | Unsure.CLEAR if clear else Unsure.BEHIND)
     return tree
+
+
+def mark(record: Records, what: Unsure) -> None:
+    """Note that this of a record is not known, too."""
+    record["unsure"] |= np.uint32(what)
+
+
+def _passes_straight(record: Records) -> bool:
+    """Whether light passes a material on a straight line."""
+    return bool(record["shader"] == Shader.TRANSPARENT or record["alpha"] < 1 or record["alpha_texture"] >= 0)
 
 
 def doubled(tree: Tree) -> Tree:
@@ -95,6 +107,7 @@ def glowing_through(record: Records, share: float) -> Tree:
     side."""
     through = record.copy()
     through["shader"] = Shader.TRANSLUCENT
+    mark(through, Unsure.LIGHT)
     out = mixed(record, through)
     out.head["alpha"] = share / 2
     return out

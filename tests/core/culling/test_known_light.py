@@ -21,15 +21,18 @@ SIZE = (96, 54)
 BUDGET = Budget(0.02, 0.1)
 
 
-def roofed(unsure: int, glow: float = 0.0) -> s.Scene:
+def roofed(unsure: int, glow: float = 0.0, veil: int | None = None) -> s.Scene:
     """A ground under many small roofs out of view, which a weak sky lights, and from aside a strong sun or a
-    glowing wall."""
+    glowing wall. veil: what is not known (`Unsure`) of a clear sheet, through which the sun shines."""
     rng = np.random.default_rng(0)
     places = rng.uniform((-4, 0, 3), (4, 8, 4), (120, 3)).tolist()
     roofs = [(1, scenes.placed((x, y, z), (0.5, 0.5, 0.01)), 1) for x, y, z in places]
     panel = [(0, facing((0, 1, 0), (1, 0, 0), (-9, 4, 1.5), 20, 3), 2)] if glow else []
     materials = [material(), material(base_color=0.02), material(base_color=0.0, emission=(glow,) * 3)]
     materials[2]["unsure_emission"] = unsure
+    if veil is not None:
+        panel = [(0, facing((-1, 0, -0.6), (0, 1, 0), (15, 4, 9), 60, 60), 2)]
+        materials[2]["shader"], materials[2]["base_color"], materials[2]["unsure"] = s.Shader.TRANSPARENT, 1, veil
     light = sun((1, 0, 0.6)) if not glow else None
     scene = scenes.build(
         [scenes.quad(), scenes.cube()],
@@ -45,11 +48,15 @@ def roofed(unsure: int, glow: float = 0.0) -> s.Scene:
     return scene
 
 
-@pytest.mark.parametrize("glow", [0.0, 20.0], ids=["lamp", "emission"])
-def test_the_budget_holds_without_it_as_with_it(glow: float) -> None:
+@pytest.mark.parametrize(
+    ("glow", "veil"),
+    [(0.0, None), (20.0, None), (0.0, s.Unsure.CLEAR), (0.0, s.Unsure.LIGHT)],
+    ids=["lamp", "emission", "clear", "through"],
+)
+def test_the_budget_holds_without_it_as_with_it(glow: float, veil: int | None) -> None:
     """By 128 fresh paths per pixel through the scene with that light, and without. Were it sure, the scene without it
     would be far off."""
-    scene = roofed(1, glow)
+    scene = roofed(veil is None, glow, veil)
     dark = known_light(scene)
     assert dark is not None
     options = CullOptions(width=SIZE[0], max_error=BUDGET)
@@ -58,10 +65,11 @@ def test_the_budget_holds_without_it_as_with_it(glow: float) -> None:
         change = Judge(judged, 128).change(result.active)
         assert change.mean - 2 * change.mean_deviation <= BUDGET.mean
         assert change.worst - 2 * change.worst_deviation <= BUDGET.worst
-    sure = roofed(0, glow)
+    sure = roofed(0, glow, None if veil is None else 0)
     assert known_light(sure) is None
     change = Judge(dark, 128).change(analyze(sure, options).active)
-    assert change.mean - 2 * change.mean_deviation > BUDGET.mean
+    sure_mean, sure_worst = change.mean - 2 * change.mean_deviation, change.worst - 2 * change.worst_deviation
+    assert sure_mean > BUDGET.mean or sure_worst > BUDGET.worst
 
 
 def test_a_reason_to_keep_all() -> None:

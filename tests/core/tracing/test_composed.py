@@ -122,6 +122,42 @@ def test_what_shows_through_the_unsure_is_kept() -> None:
     assert kept[1].all()
 
 
+def veiled(count: int, *more: tuple[int, np.ndarray, int], **options: object) -> s.Scene:
+    """So many sheets of 4 m, one above the other, of which it is not known whether they are there, over a ground that
+    is dark; more instances of materials 0 (the ground's) and 2 (white)."""
+    veil, solid, clear = (
+        composed(Shader.MIX, 3, 4, alpha=0.5), material(Shader.DIFFUSE, base_color=1.0), CLEAR.copy()
+    )
+    solid["unsure"] = clear["unsure"] = s.Unsure.BEHIND | s.Unsure.CLEAR
+    dark, white = material(Shader.DIFFUSE, base_color=0.2), material(Shader.DIFFUSE, base_color=0.8)
+    sheets = [(0, placed((0, 0, 0.1 * k), 4.0), 1) for k in range(count)]
+    return build(
+        [quad(), cube()],
+        [(0, placed((0, 0, -6), 40.0), 0), *sheets, *more],
+        [dark, veil, white, solid, clear],
+        **options,  # type: ignore[arg-type]
+    )
+
+
+def test_behind_many_that_may_not_be_there_all_is_kept() -> None:
+    """What is behind thirty sheets is met, though one path in 2^30 would pass if half passed each; and all of them
+    are kept, for each may be the only one that is there."""
+    thing = (1, placed((0.2, 0, -5.9), 0.1), 2)
+    scene = veiled(30, thing, camera=DOWN, size=(64, 64), limits=s.PathLimits(transparent=64))
+    assert analyze(scene, CullOptions(seed=1)).active.all()
+
+
+def test_what_may_shade_is_kept() -> None:
+    """Light passes all that may not be there, so what shades below counts with all of it; and each of them may be what
+    shades, so each is kept, which what is there anyway is not."""
+    camera = look_at((0, 0, -2), (0, 0, -6), 0.7, 1.0)
+    roof = (1, placed((0.5, 0.5, -5), (1.0, 1.0, 0.1)), 2)
+    far = (1, placed((19, 19, -5), 0.01), 2)
+    lit = {"lights": lamp(s.LightKind.SUN, power=1.0), "world": (0, 0, 0), "limits": s.PathLimits(transparent=64)}
+    scene = veiled(12, roof, far, camera=camera, size=(64, 64), **lit)
+    assert analyze(scene, CullOptions(seed=1)).active.tolist() == [True] * 14 + [False]
+
+
 def test_determinism() -> None:
     """One and several threads give the same picture and weights."""
     placement = [(1, placed((0, 0, 0), 4.0), 0), (0, placed((0, 0, -1), 1.0), 1)]

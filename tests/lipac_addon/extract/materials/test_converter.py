@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lipac.core.arrays import Records
-from lipac.core.scene.model import MATERIAL, VIEWS, Extension, RayType, Shader, Textures, default_material
+from lipac.core.scene.model import MATERIAL, VIEWS, Extension, RayType, Shader, Textures, Unsure, default_material
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.extract.materials.material_table import MaterialTable
 from lipac.lipac_addon.extract.materials.textures import TextureTable, srgb_to_linear
@@ -349,11 +349,11 @@ def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
                 "ShaderNodeMixShader", {0: factor, 1: clear.outputs[0], 2: t.new("ShaderNodeBsdfPrincipled").outputs[0]}
             )
         )
-        assert (head["shader"], head["alpha"], [int(part["unsure"]) for part in parts]) == (Shader.MIX, 0.5, [1, 1])
+        assert (head["shader"], head["alpha"], [int(part["unsure"]) for part in parts]) == (Shader.MIX, 0.5, [3, 3])
         assert len(lines) == 1
     for socket, field in (("Alpha", "alpha"), ("Transmission Weight", "transmission")):
         (record,), _, _ = t.parts(t.new("ShaderNodeBsdfPrincipled", {socket: value}))
-        assert (record[field], record["unsure"]) == (0.5, 1)
+        assert (record[field], record["unsure"]) == (0.5, 3 if field == "alpha" else Unsure.BEHIND)
     (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Roughness": value}))
     assert (record["unsure"], len(lines)) == (0, 1)
 
@@ -398,7 +398,7 @@ def test_light_goes_through_subsurface(kind: str) -> None:
     np.testing.assert_allclose(head["alpha"], 0.4 if weight else 0.5)
     assert (outside["shader"] != Shader.TRANSLUCENT, through["shader"]) == (True, Shader.TRANSLUCENT)
     np.testing.assert_allclose(through["base_color"], outside["base_color"])
-    assert len(lines) == 1
+    assert (outside["unsure"], through["unsure"], len(lines)) == (0, Unsure.LIGHT, 1)
 
 
 def test_where_a_portal_leads_is_not_known() -> None:
@@ -417,7 +417,7 @@ def test_alpha_of_an_image_elsewhere_is_not_known() -> None:
         output = place.outputs[0] if known else place.outputs["Object"]
         node = t.new("ShaderNodeTexImage", {"Vector": output}, image=image(random_pixels()))
         (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Alpha": node.outputs["Alpha"]}))
-        assert (record["unsure"], bool(lines), record["alpha_texture"] >= 0) == (not known, not known, known)
+        assert (record["unsure"], bool(lines), record["alpha_texture"] >= 0) == (3 * (not known), not known, known)
 
 
 def test_a_volume_alone_lets_light_pass() -> None:
