@@ -21,6 +21,7 @@ import numpy as np
 from ...core.errors import InputError
 from ...core.scene.model import InstanceFlag, RayType
 from ..keys import Kind, full_name
+from .geometry.fibres import hair
 from .geometry.geometry_sets import Geometry, GeometryReader
 from .graph_items import (
     Members,
@@ -195,7 +196,7 @@ class GraphReader:
         else:
             key = f"mesh {full_name(item.data)}" if data and not len(item.modifiers) else f"object {node.full_name}"
             evaluated = item.evaluated_geometry(), item.evaluated_geometry()
-            node.geometry = self.geometry.read(*evaluated, item, key, lines, data)
+            node.geometry = self.geometry.read(*evaluated, item, key, lines, data, hair(item))
         if node.geometry.groups:
             # Instances of geometry nodes come before the older ones, which are of objects and always have an id
             objects = all(isinstance(target, Node) for _, target in node.geometry.groups)

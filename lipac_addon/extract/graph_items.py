@@ -107,7 +107,10 @@ def legacy_instancing(item: Any, lines: dict[str, None]) -> Kind | None:
         if settings.render_type in {"OBJECT", "COLLECTION"}:
             kind = Kind.PARTICLE
         elif settings.render_type == "PATH" and settings.type == "HAIR":
-            lines.setdefault(f"object {item.name}: hair strands not rendered")
+            if item.show_instancer_for_render:
+                lines.setdefault(f"object {item.name}: hair strands rendered as faces")
+            else:
+                lines.setdefault(f"object {item.name}: hair strands not rendered")
     return Kind.DUPLI if kind is None and item.instance_type in {"VERTS", "FACES"} else kind
 
 
@@ -154,9 +157,9 @@ def is_simplifiable(node: Node) -> bool:
 
 def mark_mesh(node: Node, meshes: MeshTable) -> None:
     """Mark an object of whose mesh faces may be culled, and its mesh where all that show it let it be exchanged."""
-    node.marks |= int(InstanceFlag.DIVISIBLE) * is_divisible(node)
     if node.geometry is not None and node.geometry.mesh >= 0:
         source = meshes.source(node.geometry.mesh)
+        node.marks |= int(InstanceFlag.DIVISIBLE) * (source.fibres is None and is_divisible(node))
         source.simplifiable = source.simplifiable is not False and is_simplifiable(node)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.arrays import F32, I32, Records
 from ...core.errors import InputError, NothingToAnalyse
 from ...core.scene.change import Change
-from ...core.scene.model import Scene
+from ...core.scene.model import Scene, Unsure
 from ...core.scene.placing import scene_origin
 from ..depsgraph import STAND_IN
 from ..keys import Keys, Kind
@@ -32,9 +32,11 @@ from .instances import Placed, Placer
 from .lights import place_lamps
 from .materials.displacement import Relief
 from .materials.shaders import PORTAL
-from .shading import Shading, ShadingReader, linked_emission, same_array
+from .shading import Shading, ShadingReader, linked_emission, same_array, with_parts
 from .shutter import Shutter, same_camera
 from .world import ExtractedWorld, extract_world
+
+MUCH = 0.25  # of the diagonal of a mesh's box: displaced by more, it may be anywhere about
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,9 @@ class SceneReader:
         shading = self._shading.read(graph)
         linked, names = linked_materials(graph.order), tuple(graph.geometry.slots.order)
         lines, materials = linked_emission(shading.materials, names, linked, self.most)
-        graph.geometry.meshes.displace(self._reliefs(shading, nodes))
+        reliefs = self._reliefs(shading, nodes)
+        materials = self._anywhere(materials, reliefs, shading)
+        graph.geometry.meshes.displace(reliefs)
         placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(
             nodes
         )
@@ -233,6 +237,21 @@ class SceneReader:
                     1 / max(float(np.linalg.norm(node.world[:, :3], axis=0).min()), 1e-9)
                 )
         return out
+
+    def _anywhere(self, materials: Records, reliefs: dict[int, Relief], shading: Shading) -> Records:
+        """Materials, of which those that displace a mesh by much of its size are marked: what it looks like is not
+        known, nor whether it is there."""
+        rows: set[int] = set()
+        for mesh, offset in self.graph.geometry.pairs:
+            relief, source = reliefs.get(mesh), self.graph.geometry.meshes.source(mesh)
+            if relief is not None and relief.high - relief.low > MUCH * float(np.linalg.norm(np.ptp(source.bounds, 0))):
+                slots = shading.slot_materials[offset : offset + source.slot_count].tolist()
+                rows |= {slot for slot in slots if shading.reliefs[slot] is not None}
+        if not rows:
+            return materials
+        materials = materials.copy()
+        materials["unsure"][with_parts(materials, rows)] |= np.uint32(Unsure.CLEAR)
+        return materials
 
     def _textured(self, pairs: set[tuple[int, int]], shading: Shading) -> set[int]:
         """Meshes with a material that needs UVs."""

@@ -109,15 +109,19 @@ def linked_emission(
     `MaterialTable`."""
     out, lines = materials.copy(), []
     for name, item in linked.items():
-        parts = {order.index(name)}
-        rows: set[int] = set()
-        while parts - rows:
-            rows |= parts
-            parts = {int(k) for row in rows if out[row]["shader"] >= Shader.MIX for k in out[row]["parts"]}
+        rows = with_parts(out, {order.index(name)})
         if any(out[row]["emission"].any() for row in rows):
             lines.append(f"object {item}: light linking of its emission not rendered: everything is lit")
-            out["unsure_emission"][list(rows)] = most
+            out["unsure_emission"][rows] = most
     return lines, out
+
+
+def with_parts(materials: Records, rows: set[int]) -> list[int]:
+    """Rows of materials, and of all that these are composed of."""
+    out = sorted(rows)
+    for row in out:  # grows meanwhile
+        out += materials["parts"][row].tolist() if materials["shader"][row] >= Shader.MIX else []
+    return out
 
 
 def _shades(block: Any) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....core.arrays import F32
+from .fibres import Fibres, balls, joined, strands
 from .mesh_table import MeshTable
 from .meshes import matrices, read
 from .slots import Slots, SlotTable, material_slots
@@ -122,26 +123,44 @@ class GeometryReader:
         self._settle(out)
         return out
 
-    def read(self, geometry: Any, kept: Any, item: Any, key: str, lines: dict[str, None], data: int = 0) -> Geometry:
+    def read(
+        self,
+        geometry: Any,
+        kept: Any,
+        item: Any,
+        key: str,
+        lines: dict[str, None],
+        data: int = 0,
+        hair: Fibres | None = None,
+        instanced: bool = False,
+    ) -> Geometry:
         """Read the GeometrySet of an object. kept: another of the same, for meshes that are read later. key: names its
-        mesh over the frames. lines: what is not rendered is added. data: as of `Geometry`."""
+        mesh over the frames. lines: what is not rendered is added. data: as of `Geometry`. hair: of the object.
+        instanced: it is not the object's own."""
         while self.meshes.taken(key):  # an evaluated mesh of an object's own may have the name of another
             key = f"{key}\n{item.name}"
-        out = Geometry(self.meshes.read(key, geometry, kept, item.name), key, data=data)
-        for name, kind in (
-            ("pointcloud", "point cloud"),
-            ("curves", "curves (hair)"),
-            ("volume", "volume"),
-            ("grease_pencil", "Grease Pencil"),
+        materials: Slots = () if geometry.mesh is None else self._slots(item, geometry.mesh)
+        found = [hair]
+        for name, kind, as_faces in (
+            ("curves", "curves (hair)", strands),
+            ("pointcloud", "point cloud", balls),
+            ("volume", "volume", None),
+            ("grease_pencil", "Grease Pencil", None),
         ):
             part = getattr(geometry, name, None)
-            if part is not None and not (
-                name == "curves" and geometry.mesh is not None and item.type in {"CURVE", "FONT", "SURFACE"}
-            ):
-                splats = getattr(part, "type", "") == "GAUSSIAN_SPLAT"
+            # Cycles renders no other curves than those that an object of them is
+            if part is None or (name == "curves" and (instanced or item.type != "CURVES")):
+                continue
+            splats = getattr(part, "type", "") == "GAUSSIAN_SPLAT"
+            if as_faces is None or splats:
                 lines.setdefault(f"object {item.name}: {'Gaussian splats' if splats else kind} not rendered")
+            else:
+                lines.setdefault(f"object {item.name}: {kind} rendered as faces")
+                found.append(as_faces(part, len(materials)))
+                materials += self._slots(item, part)
+        out = Geometry(self.meshes.read(key, geometry, kept, item.name, joined(found)), key, data=data)
         if out.mesh >= 0:
-            out.materials = material_slots(item, geometry.mesh, self.override, self.materials)
+            out.materials = materials
         self._settle(out)
         cloud = geometry.instances_pointcloud()
         if cloud is None:
@@ -161,11 +180,14 @@ class GeometryReader:
                     out.groups.append((order[a:b], self._reference(*targets[k], item, f"{key}/{k}", lines)))
         return out
 
+    def _slots(self, item: Any, data: Any) -> Slots:
+        return material_slots(item, data, self.override, self.materials)
+
     def _reference(self, target: Any, kept: Any, owner: Any, key: str, lines: dict[str, None]) -> Any:
         if target is None:
             return None
         if hasattr(target, "instances_pointcloud"):
-            return self.read(target, kept, owner, key, lines)
+            return self.read(target, kept, owner, key, lines, instanced=True)
         return self._references.refer(target)
 
     def still(self, geometry: Geometry) -> Geometry:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ....core.arrays import F32, F64, I32
 from ..materials.displacement import Relief
+from .fibres import Fibres
 from .meshes import NO_BOUNDS, Loaded, MeshSource, describe, load
 
 
@@ -57,15 +58,15 @@ class MeshTable:
         self._used.add(key)
         return self._index[key]
 
-    def read(self, key: str, geometry: Any, kept: Any, name: str) -> int:
+    def read(self, key: str, geometry: Any, kept: Any, name: str, fibres: Fibres | None = None) -> int:
         """The index of what is new or may have changed; its bounds are read.
 
         geometry, kept: two GeometrySets of the same. What is read of one becomes a copy of its own, so one is read now,
-        and the other, which goes on to share Blender's memory, is kept.
+        and the other, which goes on to share Blender's memory, is kept. fibres: what is rendered beside its faces.
         """
         self._used.add(key)
         index = self._index.get(key, -1)
-        source = describe(geometry, name)
+        source = describe(geometry, name, fibres)
         if source is None:
             if index >= 0:
                 self._drop(index)
@@ -120,7 +121,11 @@ class MeshTable:
     def simplifiable(self) -> NDArray[np.bool_]:
         """(M,) bool, as `core.scene.model.Scene.simplifiable`."""
         return np.array(
-            [s is not None and bool(s.simplifiable) and not s.broken and s.relief is None for s in self.sources], bool
+            [
+                s is not None and bool(s.simplifiable) and not s.broken and s.relief is None and s.fibres is None
+                for s in self.sources
+            ],
+            bool,
         )
 
     def finish(self, textured: set[int], uv_maps: tuple[str, ...]) -> tuple[I32, I32]:

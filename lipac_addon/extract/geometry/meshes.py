@@ -11,7 +11,7 @@ import ctypes
 import hashlib
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from ....core.arrays import F32, F64, U32
 from ....core.scene.mesh import Mesh, MeshSequence
 from ....core.scene.placing import LARGEST
 from ..materials.displacement import Relief, shells
+from .fibres import Fibres
 
 NO_BOUNDS = np.array([[1.0] * 3, [-1.0] * 3], np.float32)  # low above high: no triangles
 EMPTY = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
@@ -36,6 +37,7 @@ class MeshSource:
     are read.
     relief: how its materials displace it, in metres of its own space; None where none does. simplifiable: whether all
     objects that show it let it be exchanged for a simplified one; None before one was asked.
+    fibres: what is rendered beside its faces.
     loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the
     first who asks.
     """
@@ -52,6 +54,7 @@ class MeshSource:
     relief: Relief | None = None
     divisible: bool = False
     simplifiable: bool | None = None
+    fibres: Fibres | None = None
 
     def box(self) -> F32:
         """(2, 3) box of what `load` gives, in Blender's own coordinates."""
@@ -149,8 +152,20 @@ def _box(positions: F32) -> F32:
     return np.stack((columns.min(axis=1), columns.max(axis=1)))
 
 
-def describe(geometry: Any, name: str) -> MeshSource | None:
-    """Bounds and slots of the mesh in a GeometrySet; None when it has no faces or no usable vertex."""
+def describe(geometry: Any, name: str, fibres: Fibres | None = None) -> MeshSource | None:
+    """Bounds and slots of the mesh in a GeometrySet, and of fibres beside it; None where there are neither, the mesh
+    having no faces or no usable vertex."""
+    source = _faces(geometry, name)
+    if fibres is None:
+        return source
+    slots, box = int(fibres.slots.max()) + 1, fibres.box()
+    if source is None:
+        return MeshSource(geometry, name, box, slots, False, fibres=fibres)
+    both = np.stack((np.minimum(source.bounds[0], box[0]), np.maximum(source.bounds[1], box[1])))
+    return replace(source, bounds=both, slot_count=max(source.slot_count, slots), fibres=fibres)
+
+
+def _faces(geometry: Any, name: str) -> MeshSource | None:
     mesh = geometry.mesh
     if mesh is None or len(mesh.polygons) == 0:
         return None
@@ -212,8 +227,18 @@ def _slots(mesh: Any) -> NDArray[np.uint16]:
 
 
 def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
-    """Reads the triangles of a mesh. Triangles with a vertex that is not finite are left out."""
-    mesh = source.geometry.mesh
+    """Reads the triangles of a mesh, and of the fibres beside it. Triangles with a vertex that is not finite are left
+    out."""
+    faces = source.geometry.mesh
+    out = EMPTY if faces is None or not len(faces.polygons) else _loaded(source, faces, uv_maps)
+    if source.fibres is None:
+        return out
+    if not len(out.triangles) and source.needs_uv:
+        out = replace(out, uvs=np.zeros((len(uv_maps), 0, 3, 2), np.float32))
+    return source.fibres.behind(out, source.origin)
+
+
+def _loaded(source: MeshSource, mesh: Any, uv_maps: Sequence[str]) -> Mesh:
     positions = _positions(mesh)
     corners = corners_of(mesh)
     vertices = read(mesh.attributes[".corner_vert"].data, "value", len(mesh.loops), dtype=np.int32)[corners]

@@ -129,7 +129,7 @@ def test_boxes_and_meshes_of_displaced_objects(rock: Tree) -> None:
         Shader.MIX,
         0.5,
         [1, 5],
-        [1, 1],
+        [3, 3],  # by more than a quarter of its diagonal
     )
     assert scene.approximated == (
         "material m: displacement taken for two surfaces, at its lowest and its highest: half of the rays pass each",
@@ -150,6 +150,23 @@ def test_unknown_heights_reach_as_far_as_the_object() -> None:
     add("rock", mesh)
     scene = extract_frame(bpy.context.scene).scene
     np.testing.assert_allclose(scene.mesh_bounds[0], np.array([[-1] * 3, [1] * 3]) * (1 + np.sqrt(12)), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("scale", "clear"), [(0.5, False), (1.5, True)])
+def test_displaced_by_much_of_its_size_it_may_not_be_there(scale: float, clear: bool) -> None:
+    """By more than a quarter of the diagonal of its box. A cube that is displaced by less, and one of another
+    material, are there."""
+    for name, times in (("rock", 1.0), ("plain", 0.0)):
+        mesh = cube(name)
+        mesh.materials.append(displaced(noise, midlevel=0.5, scale=scale * times * np.sqrt(12) / 4).material)
+        add(name, mesh, location=(4 * times, 0, 0))
+    scene = extract_frame(bpy.context.scene).scene
+    by_name = dict(zip(scene.slot_materials.tolist(), scene.materials, strict=False))
+    displacing = [m for m in by_name.values() if m["shader"] == Shader.MIX]
+    rows = [row for m in displacing for row in m["parts"].tolist()]
+    assert len(displacing) == 1
+    assert [int(scene.materials[row]["unsure"]) for row in rows] == 2 * [3 if clear else 1]
+    assert sum(int(m["unsure"]) > 0 for m in scene.materials) == (3 if clear else 2)
 
 
 def test_displacement_in_world_space_is_scaled_back(rock: Tree) -> None:

@@ -1,0 +1,164 @@
+"""Hair, curves and points as faces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from lipac.core.scene.mesh import Mesh
+from lipac.lipac_addon.extract import extract_frame
+from lipac.lipac_addon.extract.geometry import fibres
+from lipac.lipac_addon.extract.geometry.fibres import Fibres, joined, octahedra, ribbons
+
+from ..conftest import add, cube
+
+DIRECTIONS = np.random.default_rng(1).normal(size=(400, 3))
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+
+
+def covered(what: Fibres) -> float:
+    """Mean area of its triangles' silhouettes, each for itself, over directions."""
+    a, b, c = what.positions[what.triangles].transpose(1, 0, 2).astype(np.float64)
+    return float(np.abs(np.cross(b - a, c - a) @ DIRECTIONS.T).sum(axis=0).mean()) / 2
+
+
+def lines(count: int, steps: int, radius: float) -> tuple[Any, Any, Any]:
+    """Straight strands of a metre in all directions."""
+    rng = np.random.default_rng(2)
+    way = rng.normal(size=(count, 1, 3))
+    way /= np.linalg.norm(way, axis=2, keepdims=True)
+    points = rng.uniform(-1, 1, (count, 1, 3)) + way * np.linspace(0, 1, steps)[None, :, None]
+    return points.reshape(-1, 3).astype(np.float32), np.full(count * steps, radius, np.float32), np.full(count, steps)
+
+
+@pytest.mark.parametrize("most", [200_000, 600])
+def test_ribbons_cover_what_strands_cover(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cylinder's silhouette is its diameter times its length, times pi / 4 over directions; of fewer strands, too."""
+    monkeypatch.setattr(fibres, "MOST", most)
+    found = ribbons(*lines(400, 4, 0.01), slot=2)
+    assert found is not None
+    np.testing.assert_allclose(covered(found), 400 * 0.02 * np.pi / 4, rtol=0.02)
+    strands = 400 if most > 1600 else 150
+    assert (len(found.triangles), set(found.slots.tolist())) == (6 * strands, {2})
+    assert len(found.positions) == len(found.normals) == 8 * strands
+
+
+@pytest.mark.parametrize("most", [200_000, 100])
+def test_octahedra_cover_what_balls_cover(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of the triangles of a closed surface lie behind the others."""
+    monkeypatch.setattr(fibres, "MOST", most)
+    found = octahedra(np.zeros((300, 3), np.float32), np.full(300, 0.5, np.float32))
+    assert found is not None
+    np.testing.assert_allclose(covered(found) / 2, 300 * np.pi / 4, rtol=0.02)
+    normal = np.cross(*np.diff(found.positions[found.triangles], axis=1).transpose(1, 0, 2))
+    assert ((normal * found.positions[found.triangles].mean(axis=1)).sum(axis=1) > 0).all()
+
+
+def test_broken_strands_are_left_out() -> None:
+    """Those with a place that is not finite, or with a single point; where none is left there are none."""
+    points, radius, count = lines(4, 3, 0.1)
+    points[4] = np.nan
+    count = np.array([3, 3, 1, 2, 3])
+    found = ribbons(points, radius, count)
+    assert found is not None
+    assert np.isfinite(found.positions).all()
+    assert len(found.triangles) == 2 * (2 + 1 + 2)
+    assert ribbons(points[3:6], radius[3:6], np.array([3])) is None
+    assert octahedra(points[4:5], radius[:1]) is None
+
+
+def test_behind_a_mesh() -> None:
+    """Behind its triangles, with its attributes, in its place."""
+    found = joined(
+        (ribbons(*lines(2, 2, 0.1), slot=3), None, octahedra(np.ones((1, 3), np.float32), np.ones(1, np.float32)))
+    )
+    assert found is not None
+    mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.uint32), uvs=np.ones((2, 1, 3, 2), np.float32))
+    out = found.behind(mesh, np.array([1.0, 0, 0]))
+    assert out.uvs is not None
+    assert out.slots is not None
+    assert (len(out.triangles), out.uvs.shape, out.slots.tolist()) == (13, (2, 13, 3, 2), [0, *4 * [3], *8 * [0]])
+    np.testing.assert_allclose(
+        out.positions[out.triangles[1:]], found.positions[found.triangles] - (1, 0, 0), atol=1e-6
+    )
+
+
+def grown(**settings: Any) -> Any:
+    """A cube with hair of 2 m in its second material, scaled and moved."""
+    ob = add("grown", cube("grown"), location=(5, 0, 0), rotation=(0, 0, 0.5))
+    ob.scale = (0.5, 0.5, 0.5)
+    for name in ("skin", "hair"):
+        ob.data.materials.append(bpy.data.materials.new(name))
+    system = ob.modifiers.new("hair", "PARTICLE_SYSTEM").particle_system.settings
+    values = {"type": "HAIR", "count": 50, "hair_length": 2.0, "material": 2, "root_radius": 2.0, "radius_scale": 0.1}
+    for name, value in (values | settings).items():
+        setattr(system, name, value)
+    return ob
+
+
+@pytest.mark.parametrize("children", [0, 3])
+def test_hair_of_particles(children: int) -> None:
+    """Strands with their material where they are rendered, in the box and in the mesh; thick at the root, thin at the
+    tip."""
+    grown(**({"child_type": "SIMPLE", "rendered_child_count": children} if children else {}))
+    extraction = extract_frame(bpy.context.scene)
+    scene = extraction.scene
+    assert scene.approximated == ("object grown: hair strands rendered as faces",)
+    mesh = scene.meshes[0]
+    assert mesh.slots is not None
+    strands = 50 * (children or 1)
+    assert (np.bincount(mesh.slots).tolist(), len(scene.slot_materials)) == ([12, 2 * 8 * strands], 2)
+    box = scene.mesh_bounds[0]
+    np.testing.assert_allclose(box, [mesh.positions.min(axis=0), mesh.positions.max(axis=0)], atol=1e-5)
+    np.testing.assert_allclose(box[1].max(), 5, atol=0.1)  # a metre of the cube, two of the world
+    root, tip = (mesh.positions[8:].reshape(strands, 9, 2, 3)[:, k] for k in (0, -1))
+    np.testing.assert_allclose(np.linalg.norm(root[:, 0] - root[:, 1], axis=1), 0.2 * np.pi / 2, rtol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(tip[:, 0] - tip[:, 1], axis=1), 0, atol=1e-5)
+
+
+def test_hair_that_is_not_rendered_is_not_there() -> None:
+    """With a modifier that is off in renders; and as paths of an emitter that is hidden, which is said."""
+    ob = grown()
+    ob.modifiers[0].show_render = False
+    assert len(extract_frame(bpy.context.scene).scene.meshes[0].triangles) == 12
+    ob.modifiers[0].show_render = True
+    ob.show_instancer_for_render = False
+    add("other", cube("other"))
+    assert "object grown: hair strands not rendered" in extract_frame(bpy.context.scene).scene.approximated
+
+
+def test_curves_and_points_are_instances_like_others() -> None:
+    """Objects of hair curves, and points that nodes make of meshes, with their own materials. Curves that nodes make of
+    meshes are not rendered."""
+    data = bpy.data.hair_curves.new("curves")
+    data.add_curves([4, 4])
+    data.attributes["position"].data.foreach_set("vector", np.linspace(0, 1, 24).astype(np.float32))
+    data.materials.append(bpy.data.materials.new("fur"))
+    ob = bpy.data.objects.new("curves", data)
+    bpy.context.scene.collection.objects.link(ob)
+    host = add("host", cube("host"))
+    group = bpy.data.node_groups.new("points", "GeometryNodeTree")
+    group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    made, join = group.nodes.new("GeometryNodeMeshToPoints"), group.nodes.new("GeometryNodeJoinGeometry")
+    curves = group.nodes.new("GeometryNodeCurvePrimitiveCircle")
+    source, out = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    group.links.new(source.outputs[0], made.inputs[0])
+    for node in (source, made, curves):
+        group.links.new(node.outputs[0], join.inputs[0])
+    group.links.new(join.outputs[0], out.inputs[0])
+    host.modifiers.new("nodes", "NODES").node_group = group
+    extraction = extract_frame(bpy.context.scene)
+    scene = extraction.scene
+    triangles = {
+        extraction.keys.names[ob]: len(scene.meshes[mesh].triangles)
+        for ob, mesh in zip(extraction.keys.records["object"], scene.instances.mesh, strict=True)
+    }
+    assert triangles == {"curves": 12, "host": 12 + 8 * 8}
+    assert sorted(scene.approximated) == [
+        "object curves: curves (hair) rendered as faces",
+        "object host: point cloud rendered as faces",
+    ]
