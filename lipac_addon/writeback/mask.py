@@ -22,6 +22,7 @@ NAME = "LiPaC mask"
 ATTRIBUTE = "culled"
 REACH = 1e-5  # metres within which an instance is where it was: evaluating a scatter again gives the same numbers
 INSTANCES = "Anywhere"  # input of the group that masks instances, and of no other
+DISTINCT = "Distinct"  # input of a group that need not look for equal ids, which takes as long as the scatter itself
 _MASK = "mask"  # the mark of mask objects, meshes and the node group
 
 
@@ -88,6 +89,7 @@ def is_ours(block: bpy.types.ID, mark: str = _MASK) -> bool:
         return block.bl_idname == "GeometryNodeTree" and _inputs(block) in (
             ["Geometry", "Mask"],
             ["Geometry", "Mask", INSTANCES],
+            ["Geometry", "Mask", INSTANCES, DISTINCT],
         )
     mesh = block.data if isinstance(block, bpy.types.Object) else block
     if not isinstance(mesh, bpy.types.Mesh) or (isinstance(block, bpy.types.Object) and block.users_collection):
@@ -134,13 +136,17 @@ def new_group(name: str, inputs: tuple[tuple[str, str], ...]) -> bpy.types.NodeT
     return group
 
 
-def new_instance_group() -> bpy.types.NodeTree:
-    """The node group that masks instances: inputs Geometry, Mask (object) and Anywhere, output Geometry."""
-    group = new_group(NAME, (("Mask", "Object"), (INSTANCES, "Bool")))
+def new_instance_group(knows_ids: bool = False) -> bpy.types.NodeTree:
+    """The node group that masks instances: inputs Geometry, Mask (object) and Anywhere, output Geometry.
+
+    knows_ids: with an input Distinct, too: no two instances have the same id.
+    """
+    group = new_group(NAME, (("Mask", "Object"), (INSTANCES, "Bool"), *([(DISTINCT, "Bool")] if knows_ids else [])))
     nodes = Nodes(group)
     inputs, output = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
     goes = _goes(nodes, inputs.outputs["Mask"], inputs.outputs[INSTANCES])
-    nodes.link(_delete(nodes, inputs.outputs["Geometry"], goes), output.inputs["Geometry"])
+    distinct = inputs.outputs[DISTINCT] if knows_ids else None
+    nodes.link(_delete(nodes, inputs.outputs["Geometry"], goes, distinct), output.inputs["Geometry"])
     return group
 
 
@@ -201,12 +207,18 @@ def _goes(nodes: Nodes, mask: bpy.types.NodeSocket, anywhere: bpy.types.NodeSock
     return nodes.both("AND", culled, nodes.both("OR", there, anywhere))
 
 
-def _delete(nodes: Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+def _delete(
+    nodes: Nodes,
+    geometry: bpy.types.NodeSocket,
+    goes: bpy.types.NodeSocket,
+    distinct: bpy.types.NodeSocket | None = None,
+) -> bpy.types.NodeSocket:
     """The geometry without the instances `goes`, the others numbered as before.
 
     Blender's number of an instance, from which Object Info > Random and motion blur go, is its id, or its place among
     all where there are none. Of instances with equal ids the first has this number, and each later one draws another:
-    so what goes is made empty where it shares its id with one that stays.
+    so what goes is made empty where it shares its id with one that stays. distinct: whether none does; Blender computes
+    no more of a Switch than what it lets through.
     """
     own = nodes.field("GeometryNodeInputID")
     numbered = nodes.field(
@@ -227,6 +239,8 @@ def _delete(nodes: Nodes, geometry: bpy.types.NodeSocket, goes: bpy.types.NodeSo
         data_type="FLOAT",
         domain="INSTANCE",
     )
+    if distinct is not None:
+        some = nodes.field("GeometryNodeSwitch", {"Switch": distinct, "False": some, "True": 0.0}, input_type="FLOAT")
     deleted = nodes.field("GeometryNodeDeleteGeometry", {"Geometry": numbered, "Selection": goes}, domain="INSTANCE")
     emptied = _emptied(nodes, numbered, nodes.both("NIMPLY", goes, needed), needed)
     return nodes.field("GeometryNodeSwitch", {"Switch": some, "False": deleted, "True": emptied}, input_type="GEOMETRY")

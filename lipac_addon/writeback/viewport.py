@@ -30,9 +30,10 @@ _MARK = "viewport mask"  # of node groups, mask objects and their meshes
 # Rows
 
 
-def mask_rows(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32) -> None:
+def mask_rows(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32, distinct: bool = False) -> None:
     """Take the rows (R,) bool of a host's instance cloud out of the viewport, all others back in. places: (at least R,
-    3) where they are, in its own space."""
+    3) where they are, in its own space; distinct: whether no two of them have the same id, which a new mask need not
+    find out, then."""
     modifier = _mask_of(host)
     if modifier is not None:
         holder = next(mask_inputs(modifier), None)
@@ -43,11 +44,11 @@ def mask_rows(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32) -> N
             return
         unmask([host])
     group = next((g for g in bpy.data.node_groups if mask.is_ours(g, _MARK)), None) or _claimed(
-        mask.new_instance_group()
+        mask.new_instance_group(knows_ids=True)
     )
     holder = _claimed(mask.mask_object(rows, places))
     _claimed(holder.data)
-    modifier = mask.append(host, group, NAME, {"Mask": holder, mask.INSTANCES: False})
+    modifier = mask.append(host, group, NAME, {"Mask": holder, mask.INSTANCES: False, mask.DISTINCT: distinct})
     modifier.show_render, modifier.show_viewport = False, True
 
 

@@ -3,7 +3,8 @@
 Blender evaluates a scatter anew as a whole when one row of it comes or goes, and its viewport render begins anew. So
 the set changes seldom: what light paths ask for comes back at once (a few times a second at most, less often where that
 takes long), what they do not need goes when nothing is asked for, and when it is worth it. Nothing goes before live
-mode was at rest once.
+mode was at rest once. A change that is too large for one tick is made in parts, a decision before each: first what
+comes back, largest first, then what goes.
 
 What is taken out stays in what live mode reads (`Switches.everything`): objects with a closed eye are evaluated on,
 masks are lifted while a scatter is read.
@@ -24,7 +25,7 @@ from ....core.arrays import F32, F64, I64
 from ... import roles
 from ...keys import Kind
 from ...writeback.viewport_plan import Candidates, candidates, viewport_plan
-from ..state import results, session
+from ..state import results, scatters, session
 from .background import in_thread
 from .foresight import Foresight, half_angle, is_large
 from .viewport_switches import OutSet, Rows, Switches
@@ -38,6 +39,8 @@ HOLD = 0.5  # seconds that what came into view at once stays, for paths to look 
 NEAR = 0.1  # of the camera's distance to the 3D cursor, around which nothing goes
 AT_ONCE = 20_000  # instances of which arrays take a tick no longer than it may; those of more are left to a thread
 WALKS = 10_000_000  # objects that Blender may walk over to close or open all eyes: one takes it a walk over the layer
+PART = 300_000  # of these in one change: as many as Blender then evaluates anyway take it no longer
+ROWS = 100_000  # of scatters in one change, which Blender evaluates as a whole
 
 
 T = TypeVar("T")
@@ -46,7 +49,8 @@ T = TypeVar("T")
 @dataclass(frozen=True)
 class Decision:
     """What the viewport can go without by a result, and how many instances that are; how many are out already, of
-    what was out then. guarded: what must not vanish, as it was when this was begun."""
+    what was out then. guarded: what must not vanish, as it was when this was begun. largest: objects that are out, by
+    session uid, the one that looks largest first."""
 
     result: results.FrameResult
     wanted: OutSet
@@ -54,6 +58,7 @@ class Decision:
     out: OutSet
     already: int
     guarded: tuple[object, ...]
+    largest: list[int]
 
 
 class ViewportCulling:
@@ -70,7 +75,8 @@ class ViewportCulling:
         self._made = self.switches.out  # by the last decision
         self._cursor: tuple[float, ...] = ()
         self._next = self._soon = self._went = self._seen = 0.0  # soon: what matters does not wait longer
-        self._due = False  # for a change, when the decision was begun
+        self._due = self._more = False  # for a change, when the decision was begun; the last one was a part of one
+        self._eye = np.zeros(3)
         self._sight: Foresight | None = None
         self._foreseen: list[tuple[float, I64]] = []  # until when they stay, and which
         self._pose: tuple[float, ...] = ()
@@ -83,7 +89,7 @@ class ViewportCulling:
         same = last is not None and last.keys.names == result.keys.names and np.array_equal(last.state, result.state)
         self._fresh |= not same
         self._urgent |= last is not None and not same and _matters(last, result, eye)
-        self._result, self._places = result, places
+        self._result, self._places, self._eye = result, places, eye
 
     @property
     def is_deciding(self) -> bool:
@@ -132,7 +138,7 @@ class ViewportCulling:
             self._fresh, self._whom = self._fresh or whom != self._whom, whom
         self._fresh |= self.switches.out is not self._made
         result, cursor = self._result, tuple(scene.cursor.location)
-        lazy = resting or now > self._went + PATIENCE  # things may go
+        lazy = resting or self._more or now > self._went + PATIENCE  # things may go
         anew = self._fresh or (self._waits and lazy) or cursor != self._cursor
         due = now >= self._next
         if self._deciding is None:
@@ -153,7 +159,7 @@ class ViewportCulling:
         """Have the viewport go by a decision, where it is time to; True where something changed. What has come to be
         needed since it was begun stays. lazy: things may go."""
         now, out, wanted, result = time.monotonic(), self.switches.out, made.wanted, self._result
-        if result is None or len(result.state) != len(made.result.state) or result.keys.names != made.result.keys.names:
+        if result is None or (len(result.state), result.keys.names) != (len(made.result.state), made.result.keys.names):
             self._fresh = True
             return False
         if result is not made.result:
@@ -167,23 +173,26 @@ class ViewportCulling:
         elif out is not made.out or _guarded(scene, layer) != made.guarded:
             self._fresh = True
             return False
-        elif made.instances - made.already < max(1.0, WORTH * (len(result.state) - made.already)):
+        elif made.instances - made.already < (1.0 if self._more else _worth(made)):
+            self._more = False
             return False
         else:
             self._went = now
-        start = time.monotonic()
-        self.switches.change(layer, wanted, lambda uid: self._places_of(result, uid))
+        start, eyes = time.monotonic(), max(1, PART // max(1, len(layer.objects)))
+        part = out.towards(wanted, ROWS, eyes, made.largest)
+        self.switches.change(layer, part, lambda uid: places_of(self._places, result, uid))
         self._made = self.switches.out
         self._appearing(scene.camera, result)  # what is seen now is known
         end, took = time.monotonic(), time.monotonic() - start
         self._next, self._soon = end + max(INTERVAL, DUTY * took), end + took
-        self.message = f"shows {_shown(wanted, result):,} of {len(result.state):,} instances"
+        self._more = not part.is_same(wanted)
+        self._fresh, self._urgent = self._fresh or self._more, self._urgent or (self._more and part.asks(wanted))
+        self.message = f"shows {_shown(part, result):,} of {len(result.state):,} instances"
         return True
 
     def off(self, layer: bpy.types.ViewLayer) -> bool:
         """All comes back; True where something was out."""
-        was = bool(self.switches.out)
-        self._settled, self._fresh = False, True
+        was, self._settled, self._fresh, self._more = bool(self.switches.out), False, True, False
         self._drop()
         if was:
             self.switches.all_back(layer)
@@ -207,9 +216,10 @@ class ViewportCulling:
         out, guarded = self.switches.out, _guarded(scene, layer)
         protected = protection(scene, layer, result)
         self._foreseen = [(until, numbers) for until, numbers in self._foreseen if until > time.monotonic()]
-        foreseen = [numbers for _, numbers in self._foreseen]
+        foreseen, eye = [numbers for _, numbers in self._foreseen], self._eye
 
         def possible() -> Candidates:
+            scatters.digest_all()
             culled = result.culled & ~protected()
             for numbers in foreseen:
                 culled[numbers[numbers < len(culled)]] = False
@@ -218,8 +228,10 @@ class ViewportCulling:
         found = yield from _apart(result, possible)
         now = session.find_scene(self.switches.uid)  # references may have died meanwhile
         wanted = OutSet(frozenset(), {}) if now is None else self._allowed(now, result, found)
-        counts = yield from _apart(result, lambda: (wanted.instances(result), out.instances(result)))
-        return Decision(result, wanted, counts[0], out, counts[1], guarded)
+        gone, already, largest = yield from _apart(
+            result, lambda: (wanted.instances(result), out.instances(result), _largest(out.objects, result, eye))
+        )
+        return Decision(result, wanted, gone, out, already, guarded, largest)
 
     def _allowed(self, scene: bpy.types.Scene, result: results.FrameResult, found: Candidates) -> OutSet:
         """What Blender allows to take out of what could go."""
@@ -233,14 +245,9 @@ class ViewportCulling:
         for host, out in masks:
             if not self.switches.is_quiet(host):
                 self._waits = True
-            elif self._places_of(result, host.session_uid) is not None:
+            elif places_of(self._places, result, host.session_uid) is not None:
                 rows[host.session_uid] = out
         return OutSet(frozenset(ob.session_uid for ob in eyes), rows)
-
-    def _places_of(self, result: results.FrameResult, uid: int) -> F32 | None:
-        """Where the rows of a host are."""
-        number = np.flatnonzero(result.uids == uid)
-        return self._places.get(result.keys.names[number[0]]) if len(number) else None
 
     def _is_asked_for(self, scene: bpy.types.Scene, now: float) -> bool:
         """Whether the switch is on, and viewports show what it is for, or did a moment ago."""
@@ -256,16 +263,44 @@ class ViewportCulling:
         return True
 
 
+def _largest(uids: frozenset[int], result: results.FrameResult, eye: F64) -> list[int]:
+    """Objects by session uid, the one of which something looks largest from (3,) the eye first."""
+    if not uids:
+        return []
+    records, found = result.keys.records, np.zeros(len(result.uids), np.float32)
+    own = np.where(records["kind"] == Kind.OBJECT, records["object"], records["host"])
+    numbers = np.flatnonzero(np.append(np.isin(result.uids, list(uids)), False)[own])  # index -1: nobody
+    size, gap = _size_and_gap(result.bounds[numbers], eye)
+    np.maximum.at(found, own[numbers], size / np.maximum(gap, 1e-6))
+    return [uid for uid in result.uids[np.argsort(-found, kind="stable")].tolist() if uid in uids]
+
+
+def _size_and_gap(bounds: F32, eye: F64) -> tuple[F64, F64]:
+    """How large (N, 2, 3) boxes are, and how far from (3,) the eye."""
+    low, high = bounds[:, 0], bounds[:, 1]
+    gap = np.linalg.norm(np.maximum(np.maximum(low - eye, eye - high), 0), axis=1)
+    return np.linalg.norm(high - low, axis=1), gap
+
+
 def _matters(last: results.FrameResult, result: results.FrameResult, eye: F64) -> bool:
     """Whether what is kept now, and was not before, is much of what is kept, or looks large from (3,) the eye."""
     kept = result.state != results.CULLED
     if len(last.state) != len(kept):
         return False
     new = np.flatnonzero(kept & (last.state == results.CULLED))
-    low, high = result.bounds[new, 0], result.bounds[new, 1]
-    gap = np.linalg.norm(np.maximum(np.maximum(low - eye, eye - high), 0), axis=1)
-    large = is_large(np.linalg.norm(high - low, axis=1), gap)
+    large = is_large(*_size_and_gap(result.bounds[new], eye))
     return bool(large.any() or 0 < len(new) >= WORTH * np.count_nonzero(kept))
+
+
+def _worth(made: Decision) -> float:
+    """How many instances must go, so that it is worth a change."""
+    return max(1.0, WORTH * (len(made.result.state) - made.already))
+
+
+def places_of(places: dict[str, F32], result: results.FrameResult, uid: int) -> F32 | None:
+    """Where the rows of a host are, of those by full names."""
+    number = np.flatnonzero(result.uids == uid)
+    return places.get(result.keys.names[number[0]]) if len(number) else None
 
 
 def _shown(out: OutSet, result: results.FrameResult) -> int:
@@ -312,9 +347,7 @@ def _apart(result: results.FrameResult, work: Callable[[], T]) -> Generator[None
     return (yield from in_thread(work, lambda: None))
 
 
-def protection(
-    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, result: results.FrameResult
-) -> Callable[[], Rows]:
+def protection(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, result: results.FrameResult) -> Callable[[], Rows]:
     """What finds the instances that must not vanish, (N,) bool, asking nothing of Blender: pinned, ignored, selected,
     edited, active, or near the 3D cursor, as it is now."""
     chosen = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -34,9 +34,7 @@ class OutSet:
 
     def asks(self, wanted: OutSet) -> bool:
         """Whether something that is out is to come back."""
-        return bool(self.objects - wanted.objects) or any(
-            (rows & ~_as_long(wanted.rows.get(uid), rows)).any() for uid, rows in self.rows.items()
-        )
+        return bool(self.objects - wanted.objects) or any(self._asks_for_rows(wanted, uid) for uid in self.rows)
 
     def both(self, other: OutSet) -> OutSet:
         """What is out of both."""
@@ -74,6 +72,41 @@ class OutSet:
             rows[host] = gone.copy()
             rows[host][mine[mine < len(gone)]] = False
         return OutSet(self.objects - set(uid.tolist()), rows)
+
+    def towards(self, other: OutSet, rows: int, eyes: int, first: Iterable[int]) -> OutSet:
+        """As far towards another as one change goes, this where there is no difference: scatters of so many rows in
+        all, but one at least, and so many eyes. What comes back goes before what is hidden; of objects, those that come
+        first.
+
+        Blender evaluates a scatter as a whole, so its rows change together.
+        """
+        changed = [uid for uid in self.rows.keys() | other.rows.keys() if not self.is_alike(other, uid)]
+        back = {uid for uid in changed if self._asks_for_rows(other, uid)}
+        length = {uid: len(self.rows[uid] if uid in self.rows else other.rows[uid]) for uid in changed}
+        changed.sort(key=lambda uid: (uid not in back, length[uid], uid))
+        evaluated = np.cumsum([length[uid] for uid in changed])
+        now = changed[: max(1, int(np.searchsorted(evaluated, rows, side="right")))]
+        made = {uid: mine for uid, mine in self.rows.items() if uid not in now}
+        made |= {uid: other.rows[uid] for uid in now if uid in other.rows}
+        opening, closing = self.objects - other.objects, other.objects - self.objects
+        rank = {uid: k for k, uid in enumerate(first)}
+        opened = sorted(opening, key=lambda uid: (rank.get(uid, len(rank)), uid))[:eyes]
+        all_back = len(opened) == len(opening) and back <= set(now)
+        closed = sorted(closing)[: eyes - len(opened)] if all_back else []
+        return OutSet(self.objects.difference(opened).union(closed), made)
+
+    def is_same(self, other: OutSet) -> bool:
+        """Whether the same is out of both."""
+        uids = self.rows.keys() | other.rows.keys()
+        return self.objects == other.objects and all(self.is_alike(other, uid) for uid in uids)
+
+    def is_alike(self, other: OutSet, uid: int) -> bool:
+        """Whether the same rows of a host are out of both."""
+        return uid in self.rows and uid in other.rows and np.array_equal(self.rows[uid], other.rows[uid])
+
+    def _asks_for_rows(self, other: OutSet, uid: int) -> bool:
+        """Whether rows of a host that are out are not out of the other."""
+        return uid in self.rows and bool((self.rows[uid] & ~_as_long(other.rows.get(uid), self.rows[uid])).any())
 
 
 NOTHING = OutSet(frozenset(), {})
@@ -139,21 +172,21 @@ class Switches:
         new = rows.keys() & hosts.keys() - before.rows.keys()
         full = {uid: scatters.print_of(hosts[uid], layer.depsgraph) for uid in new}
         full |= {uid: scatters.stand_ins[uid][1] for uid in rows.keys() & before.rows.keys()}
+        changed = [uid for uid in rows.keys() & hosts.keys() if uid in new or not before.is_alike(wanted, uid)]
         self.out = wanted
         with self._ours(layer):
             viewport.unmask([ob for uid, ob in hosts.items() if uid not in rows])
             for uid in before.rows.keys() - rows.keys():
                 self._forget(uid)
-            for uid in rows.keys() & hosts.keys():
+            for uid in changed:
                 if uid in new:
                     self._places[uid] = np.array(places(uid), np.float32)
-                if uid in new or not np.array_equal(before.rows[uid], rows[uid]):
-                    viewport.mask_rows(hosts[uid], rows[uid], self._places[uid])
+                viewport.mask_rows(hosts[uid], rows[uid], self._places[uid], full[uid].distinct)
             closing, opening = wanted.objects - before.objects, before.objects - wanted.objects
             there = {ob.session_uid: ob for ob in layer.objects} if closing or opening else {}
             viewport.open_eyes(layer, [there[uid] for uid in opening & there.keys()])
             viewport.close_eyes(layer, [there[uid] for uid in closing & there.keys()])
-        for uid in rows.keys() & hosts.keys():
+        for uid in changed:
             scatters.stand_ins[uid] = scatters.print_of(hosts[uid], layer.depsgraph), full[uid]
 
     def show(self, layer: bpy.types.ViewLayer, wanted: OutSet) -> None:
@@ -162,13 +195,13 @@ class Switches:
         for uid in wanted.rows.keys() & hosts.keys():
             if not np.array_equal(before.rows[uid], wanted.rows[uid]):
                 viewport.mask_rows(hosts[uid], wanted.rows[uid], self._places[uid])
-                scatters.stand_ins[uid] = b"", scatters.stand_ins[uid][1]
+                scatters.stand_ins[uid] = None, scatters.stand_ins[uid][1]
         viewport.open_eyes(layer, _by_uid(before.objects - wanted.objects).values())
         self.out = wanted
 
     def take_prints(self, layer: bpy.types.ViewLayer) -> None:
         """Take the prints of what `show` has changed, now that it is evaluated."""
-        for uid, ob in _by_uid([uid for uid, (now, _) in scatters.stand_ins.items() if not now]).items():
+        for uid, ob in _by_uid([uid for uid, (now, _) in scatters.stand_ins.items() if now is None]).items():
             scatters.stand_ins[uid] = scatters.print_of(ob, layer.depsgraph), scatters.stand_ins[uid][1]
 
     def all_back(self, layer: bpy.types.ViewLayer | None) -> None:
@@ -202,7 +235,8 @@ class Switches:
         hosts = _by_uid(self.out.rows)
         with self._ours(layer):
             for uid in self.out.rows.keys() & hosts.keys():
-                viewport.mask_rows(hosts[uid], self.out.rows[uid], self._places[uid])
+                distinct = scatters.stand_ins[uid][1].distinct
+                viewport.mask_rows(hosts[uid], self.out.rows[uid], self._places[uid], distinct)
             there = {ob.session_uid: ob for ob in layer.objects} if self.out.objects else {}
             viewport.close_eyes(layer, [there[uid] for uid in self.out.objects & there.keys()])
         self._see(viewport.closed_eyes(layer))  # those of a step of undo, too

@@ -10,8 +10,46 @@ from collections.abc import Iterable
 import bpy
 import numpy as np
 
-# By session uid, of scatters that live culling has masked: the print now, and that in full
-stand_ins: dict[int, tuple[bytes, bytes]] = {}
+from ....core.arrays import F32, I32
+
+
+class Print:
+    """The rows of a scatter as they were read, to be told from others by `digest`.
+
+    distinct: whether no two have the same id.
+    """
+
+    def __init__(self, transforms: F32, references: I32, ids: I32 | None) -> None:
+        """transforms: (16 R,); references: (R,) what the rows refer to; ids: (R,), None where they have none."""
+        self.distinct = ids is None or not (np.diff(np.sort(ids)) == 0).any()
+        self._rows: tuple[F32, I32] | None = (transforms, references)
+        self._digest = b""
+
+    @property
+    def digest(self) -> bytes:
+        """Computed when it is first asked for, by any thread: for a hundred thousand rows that takes longer than to
+        read them."""
+        rows = self._rows
+        if rows is not None:
+            digest = hashlib.blake2b(str(len(rows[1])).encode(), digest_size=16)
+            if len(rows[1]):
+                digest.update(rows[0])
+                digest.update(rows[1])
+            self._digest = digest.digest()
+            self._rows = None  # after the digest, which another thread may ask for meanwhile
+        return self._digest
+
+
+# By session uid, of scatters that live culling has masked: the print now (None: not taken yet), and that in full
+stand_ins: dict[int, tuple[Print | None, Print]] = {}
+
+
+def digest_all() -> None:
+    """Have the prints of masked scatters hold no rows any more."""
+    for now, full in list(stand_ins.values()):
+        if now is not None:
+            now.digest  # noqa: B018
+        full.digest  # noqa: B018
 
 
 def prints_of(scene: bpy.types.Scene, uids: Iterable[int]) -> dict[int, bytes]:
@@ -37,24 +75,25 @@ def prints_of(scene: bpy.types.Scene, uids: Iterable[int]) -> dict[int, bytes]:
     return found
 
 
-def print_of(ob: bpy.types.Object, graph: bpy.types.Depsgraph) -> bytes:
-    """The digest of an object of a graph that shows it, as it is."""
+def print_of(ob: bpy.types.Object, graph: bpy.types.Depsgraph) -> Print:
+    """The print of an object of a graph that shows it, as it is."""
     return _print(ob.evaluated_get(graph).evaluated_geometry())
 
 
-def _as_in_full(uid: int, now: bytes) -> bytes:
-    masked, full = stand_ins.get(uid, (b"", b""))
-    return full if now == masked else now
+def _as_in_full(uid: int, now: Print) -> bytes:
+    masked, full = stand_ins.get(uid, (None, now))
+    return full.digest if masked is not None and now.digest == masked.digest else now.digest
 
 
-def _print(geometry: bpy.types.GeometrySet) -> bytes:
+def _print(geometry: bpy.types.GeometrySet) -> Print:
     cloud = geometry.instances_pointcloud()
     count = 0 if cloud is None else len(cloud.points)
-    digest = hashlib.blake2b(str(count).encode(), digest_size=16)
+    transforms, references = np.empty(16 * count, np.float32), np.empty(count, np.int32)
+    ids = None
     if cloud is not None and count:
-        transforms, references = np.empty(16 * count, np.float32), np.empty(count, np.int32)
         cloud.attributes["instance_transform"].data.foreach_get("value", transforms)
         cloud.attributes[".reference_index"].data.foreach_get("value", references)
-        digest.update(transforms)
-        digest.update(references)
-    return digest.digest()
+        if "id" in cloud.attributes:
+            ids = np.empty(count, np.int32)
+            cloud.attributes["id"].data.foreach_get("value", ids)
+    return Print(transforms, references, ids)

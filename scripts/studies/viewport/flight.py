@@ -2,8 +2,9 @@
 
 The camera of `flythrough` drives through the city while live mode does one round a frame, at 24 frames a second by the
 clock that live culling goes by. Of each frame Cycles renders what the viewport shows, once with all and once culled,
-by the same random numbers. Some frames are drawn by the viewport itself, too (EEVEE, into memory). Then, in cities of
-several sizes, what a change of the set costs.
+by the same random numbers. Some frames are drawn by the viewport itself, too (EEVEE, into memory): it takes OpenGL, and
+seconds for each picture where that is software; with a graphics card `--drawn-every 1` draws all of them. Then, in
+cities and view layers of several sizes, what a change of the set costs.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import itertools
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 SIZE, SAMPLES = (160, 90), 8
 FRAMES = (40, 110)  # with the turn around the corner, a cut away and the cut back
-DRAWN = (76,)
+DRAWN_EVERY, CUTS = 5, (91, 103)  # frames that the viewport draws, too, and the first ones after a cut
 SETTLED = 3  # successive pictures that are the same, after which all shaders are there
 
 
@@ -43,15 +44,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, help="a Markdown file for the page")
     parser.add_argument("--instances", type=int, default=10_000, help="of the flythrough")
     parser.add_argument("--frames", type=int, nargs=2, default=FRAMES)
-    parser.add_argument("--drawn", type=int, nargs="*", default=DRAWN, help="frames that the viewport draws")
+    parser.add_argument(
+        "--drawn-every", type=int, default=DRAWN_EVERY, help="every so many frames are drawn by the viewport (0: none)"
+    )
     parser.add_argument("--sizes", type=int, nargs="*", default=(10_000, 100_000, 1_000_000))
     args = parser.parse_args(argv)
     from .... import register
     from .costs import costs
 
     register()
-    found = flight(args.instances, range(args.frames[0], args.frames[1] + 1), args.drawn)
-    page = "\n".join([*lines_of(found, args.instances, args.drawn), "", *costs(args.sizes), ""])
+    frames = range(args.frames[0], args.frames[1] + 1)
+    drawn = [f for f in frames if args.drawn_every and ((f - frames[0]) % args.drawn_every == 0 or f in CUTS)]
+    found = flight(args.instances, frames, drawn)
+    page = "\n".join([*lines_of(found, args.instances, drawn), "", *costs(args.sizes), ""])
     if args.output:
         args.output.write_text(page)
     print(page)
@@ -112,17 +117,14 @@ class Viewport:
         """(height, width, 3) float32, linear, rows bottom up: drawn until all shaders are compiled."""
         import bpy
 
-        scene, same = bpy.context.scene, 0
-        last = np.zeros((0, 0, 3), np.float32)
-        scene.render.engine = "BLENDER_EEVEE"
-        try:
-            while same < SETTLED:
-                now = self._drawn()
-                same = same + 1 if now.any() and np.array_equal(now, last) else 0
-                last = now
-                time.sleep(0.2)
-        finally:
-            scene.render.engine = "CYCLES"
+        bpy.context.scene.render.engine = "BLENDER_EEVEE"
+        last, same = np.zeros((0, 0, 3), np.float32), 0
+        while same < SETTLED:
+            now = self._drawn()
+            same = same + 1 if now.any() and np.array_equal(now, last) else 0
+            last = now
+            if not same:
+                time.sleep(0.2)  # for the threads that compile
         return last
 
     def _drawn(self) -> F32:
@@ -169,19 +171,27 @@ def flight(instances: int, frames: range, drawn: Sequence[int]) -> Flight:
     scene.cycles.seed, scene.cycles.use_animated_seed = 0, False
     look()
     viewport = Viewport() if drawn else None
-    sets = flown(out)
+    sets = dict(zip(frames, flown(out), strict=True))
     with tempfile.TemporaryDirectory() as folder:
-        for frame, (gone, places) in zip(frames, sets, strict=True):
-            scene.frame_set(frame)
-            for pictures, shown, what in (
-                (out.full, out.drawn_full, (type(gone)(frozenset(), {}), places)),
-                (out.culled, out.drawn_culled, (gone, places)),
-            ):
-                with without(*what):
-                    pictures.append(by_cycles(Path(folder)))
-                    if viewport is not None and frame in drawn:
-                        shown.append(viewport.picture())
+        for frame in frames:
+            out.full.append(taken(frame, None, lambda: by_cycles(Path(folder))))
+            out.culled.append(taken(frame, sets[frame], lambda: by_cycles(Path(folder))))
+    for frame in drawn:
+        assert viewport is not None
+        out.drawn_full.append(taken(frame, None, viewport.picture))
+        out.drawn_culled.append(taken(frame, sets[frame], viewport.picture))
     return out
+
+
+def taken(frame: int, out: tuple[OutSet, dict[int, F32]] | None, picture: Callable[[], F32]) -> F32:
+    """A picture of a frame, without what is out, None: of all of it."""
+    import bpy
+
+    bpy.context.scene.frame_set(frame)
+    if out is None:
+        return picture()
+    with without(*out):
+        return picture()
 
 
 def flown(out: Flight) -> list[tuple[OutSet, dict[int, F32]]]:
@@ -232,11 +242,13 @@ def lines_of(found: Flight, instances: int, drawn: Sequence[int]) -> list[str]:
         ("flicker, pixels", pc(flicker(full, culled))),
         ("the picture's own change from frame to frame, pixels", pc(float(own))),
     ]
-    for k, frame in enumerate(drawn):
-        change = picture_change(found.drawn_full[k], found.drawn_culled[k])
-        table.append(
-            (f"frame {frame} as drawn by EEVEE: change, mean over tiles; worst tile", "; ".join(map(pc, change)))
-        )
+    if drawn:
+        seen = np.array([picture_change(a, b) for a, b in zip(found.drawn_full, found.drawn_culled, strict=True)])
+        table += [
+            (f"{len(drawn)} frames drawn by EEVEE: change, mean over tiles: mean, median, most", three(seen[:, 0])),
+            (f"the same: worst tile; most in frame {drawn[int(seen[:, 1].argmax())]}", three(seen[:, 1])),
+            ("the same: frames without any change", f"{np.count_nonzero(seen[:, 1] == 0)} of {len(drawn)}"),
+        ]
     greatest = ", ".join(f"{frames[k]} ({pc(mean[k])})" for k in np.argsort(mean)[::-1][:5])
     return [
         "# Live culling in the viewport, measured",

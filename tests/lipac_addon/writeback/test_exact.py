@@ -322,7 +322,7 @@ def test_numbers_matter(row, stage, tmp_path, monkeypatch):
     keys, away = extracted()
     full = pictures(tmp_path, "CYCLES", (False,))
 
-    def plain(nodes, geometry, goes):
+    def plain(nodes, geometry, goes, *_):
         return nodes.field("GeometryNodeDeleteGeometry", {"Geometry": geometry, "Selection": goes}, domain="INSTANCE")
 
     monkeypatch.setattr(mask, "_delete", plain)

@@ -7,6 +7,7 @@ import pytest
 from lipac.core.culling.options import State
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.keys import Kind, full_name
+from lipac.lipac_addon.ui.state import scatters
 from lipac.lipac_addon.writeback import apply, restore, viewport
 from lipac.lipac_addon.writeback.viewport_plan import candidates, viewport_plan
 from lipac.tests.lipac_addon.writeback.conftest import collection, empty, link, points, scatter, triangle
@@ -62,6 +63,35 @@ def test_rows_go_where_they_were_and_nowhere_else(host):
     assert not [
         b.name for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.node_groups) for b in kind if "LiPaC" in b.name
     ]
+
+
+def numbers():
+    """By where it is, the number of each row, from which its random colour goes."""
+    bpy.context.view_layer.update()
+    return {
+        tuple(item.matrix_world.translation): item.random_id
+        for item in bpy.context.view_layer.depsgraph.object_instances
+        if item.is_instance and item.object.name == "source"
+    }
+
+
+@pytest.mark.parametrize("ids", [None, range(8, 0, -1), [0, 0, 1, 1, 2, 2, 3, 3]], ids=["none", "distinct", "equal"])
+def test_what_stays_keeps_its_number(host, ids):
+    """Also where a mask need not look for equal ids, since there are none."""
+    if ids is not None:
+        host.data.attributes.new("id", "INT", "POINT").data.foreach_set("value", list(ids))
+    places, before = cloud(host), numbers()
+    found = scatters.print_of(host, bpy.context.view_layer.depsgraph)
+    assert found.distinct == (ids is None or len(set(ids)) == 8)
+    gone = np.arange(8) % 2 == 0
+    for distinct in {False, found.distinct}:
+        viewport.mask_rows(host, gone, places, distinct)
+        left = numbers()
+        assert len(left) == 4 and left.items() <= before.items()
+        viewport.restore()
+    viewport.mask_rows(host, gone, places, True)
+    assert (numbers().items() <= before.items()) == found.distinct  # it matters what a mask is told
+    viewport.restore()
 
 
 def test_a_copy_of_a_masked_scatter_is_found_and_its_original_stays_masked(host):

@@ -480,3 +480,67 @@ def test_a_decision_by_a_thread_minds_what_happens_meanwhile(culled, monkeypatch
     free.set()
     settle()
     assert "box5" in shown() and "box6" not in shown()
+
+
+def sets_of_rows(rng, hosts):
+    """Rows of some of the hosts, at random, each as long as its number says."""
+    found = {uid: rng.random(uid) < 0.5 for uid in hosts if rng.random() < 0.7}
+    return {uid: rows for uid, rows in found.items() if rows.any()}
+
+
+def out_of(one, uids=range(4, 9)):
+    """What is out of a set, as a set of names."""
+    return set(one.objects) | {(uid, row) for uid in uids for row in np.flatnonzero(one.rows.get(uid, ())).tolist()}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_change_in_parts_ends_where_the_whole_does(seed):
+    """What comes back goes first, and none hides what neither end hides or shows what both hide."""
+    rng = np.random.default_rng(seed)
+    start, goal = (
+        viewport_switches.OutSet(frozenset(rng.choice(100, 20, replace=False).tolist()), sets_of_rows(rng, range(4, 9)))
+        for _ in range(2)
+    )
+    now, first, parts = start, rng.permutation(100).tolist(), 0
+    while not now.is_same(goal):
+        then = now.towards(goal, 9, 3, first)
+        opened, closed = now.objects - then.objects, then.objects - now.objects
+        changed = [
+            uid
+            for uid in range(4, 9)
+            if not then.is_same(now) and not np.array_equal(then.rows.get(uid, ()), now.rows.get(uid, ()))
+        ]
+        assert len(opened) + len(closed) <= 3
+        assert sum(changed) <= 9 or len(changed) == 1
+        assert opened | closed or changed
+        if closed:
+            assert not then.asks(goal)
+        if opened:
+            waiting = then.objects - goal.objects
+            assert max(map(first.index, opened)) < min(map(first.index, waiting), default=100)
+        assert out_of(start) & out_of(goal) <= out_of(then) <= out_of(start) | out_of(goal)
+        now, parts = then, parts + 1
+    assert parts > 3
+    assert now.towards(goal, 9, 3, first).is_same(goal)
+
+
+def test_much_goes_and_comes_back_in_parts(culled, monkeypatch):
+    """A scatter or an eye a change, and in the end all of it."""
+    gone = shown()
+    sets, original = [], viewport_switches.Switches.change
+
+    def change(self, layer, wanted, places):
+        sets.append((self.out, wanted))
+        original(self, layer, wanted, places)
+
+    monkeypatch.setattr(viewport_switches.Switches, "change", change)
+    monkeypatch.setattr(viewport_culling, "PART", 1)
+    monkeypatch.setattr(viewport_culling, "ROWS", 1)
+    boxes = [bpy.data.objects[name] for name in sorted(FAR)]
+    edit(lambda: [setattr(box, "location", (0, 0, 0.5 + 0.1 * k)) for k, box in enumerate(boxes)])
+    assert shown() >= FAR
+    edit(lambda: [setattr(box, "location", (0, 900, 0)) for box in boxes])
+    assert shown() == gone
+    assert rows() == ROWS - FAR_ROWS
+    assert len(sets) >= 2 * len(FAR)
+    assert all(len(a.objects ^ b.objects) <= 1 for a, b in sets)
