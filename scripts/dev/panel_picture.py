@@ -19,7 +19,7 @@ from typing import Any
 
 WIDTH, LINE, GAP, PAD = 340, 25, 4, 12  # of a panel, of its rows, and between them, in pixels
 SCALE = 2  # pixels of the picture to one of these
-LABEL, MENU, NUMBER, OPERATOR, CHECK, SPACE = 21, 5, 8, 1, 11, 45  # Blender's types of buttons
+LABEL, MENU, NUMBER, SPACE = 21, 5, 8, 45  # Blender's types of buttons
 GROUND, HEAD, BUTTON, ON, FIELD, TEXT = "#303030", "#3d3d3d", "#545454", "#4772b3", "#1d1d1d", "#e6e6e6"
 # What to draw, and how: place in pixels, kind, text
 Item = tuple[float, float, float, float, str, str]

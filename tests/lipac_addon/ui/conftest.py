@@ -1,7 +1,9 @@
 """The extension registered, and a small scene whose boxes behind the wall a policy by distance culls: quick to
 analyse."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import bpy
 import pytest
@@ -29,6 +31,23 @@ def scene(ui: None, boxes: bpy.types.Scene) -> bpy.types.Scene:
 def analyzed(scene: bpy.types.Scene) -> bpy.types.Scene:
     assert bpy.ops.lipac.analyze() == {"FINISHED"}
     return scene
+
+
+@pytest.fixture
+def drawn(capfd: pytest.CaptureFixture[str]) -> Callable[[Any], str]:
+    """A panel's draw() with a real layout; returns what is in it as text. Wrong property names, which Blender only
+    prints, fail the test."""
+
+    def run(cls: Any) -> str:
+        popup = bpy.context.window_manager.popmenu_begin__internal("test", icon="NONE")
+        capfd.readouterr()
+        cls.draw(SimpleNamespace(layout=popup.layout), bpy.context)
+        out, err = capfd.readouterr()
+        assert not err.strip(), err
+        assert "Error" not in out
+        return str(popup.layout.introspect())
+
+    return run
 
 
 @pytest.fixture

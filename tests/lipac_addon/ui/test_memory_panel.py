@@ -11,22 +11,6 @@ from lipac.lipac_addon.ui.state import results
 
 
 @pytest.fixture
-def listed(capfd):
-    """The panel's text, by Blender's own layout."""
-
-    def run():
-        popup = bpy.context.window_manager.popmenu_begin__internal("test", icon="NONE")
-        capfd.readouterr()
-        LIPAC_PT_memory.draw(SimpleNamespace(layout=popup.layout), bpy.context)
-        out, err = capfd.readouterr()
-        assert not err.strip(), err
-        assert "Error" not in out
-        return str(popup.layout.introspect())
-
-    return run
-
-
-@pytest.fixture
 def textured(scene):
     """Two boxes that stay have an image; box2 has many faces."""
     image = bpy.data.images.new("grain", 1024, 1024)
@@ -43,16 +27,16 @@ def textured(scene):
     return scene
 
 
-def test_before_an_analysis(scene, listed):
-    assert "Analyze this frame" in listed()
+def test_before_an_analysis(scene, drawn):
+    assert "Analyze this frame" in drawn(LIPAC_PT_memory)
 
 
-def test_the_largest_first(textured, listed):
+def test_the_largest_first(textured, drawn):
     bpy.ops.lipac.analyze()
     rows = [row for row in results.at(textured).memory if row.kind != "mesh" and row.bytes]
     assert [row.bytes for row in rows] == sorted((row.bytes for row in rows), reverse=True)
     assert {row.name for row in rows[:4]} == {"grain", "box0", "box1", "box2"}
-    text = listed()
+    text = drawn(LIPAC_PT_memory)
     places = [text.index(f"'{row.name}'") for row in rows[: memory_panel.ROWS] if f"'{row.name}'" in text]
     assert len(places) == len(rows)
     assert places == sorted(places)
@@ -60,10 +44,10 @@ def test_the_largest_first(textured, listed):
     assert not any(f"'{name}'" in text for name in ("box4", "box5"))  # culled: they take nothing
 
 
-def test_more_than_the_list_shows(textured, listed, monkeypatch):
+def test_more_than_the_list_shows(textured, drawn, monkeypatch):
     monkeypatch.setattr(memory_panel, "ROWS", 2)
     bpy.ops.lipac.analyze()
-    assert "more, objects" in listed()
+    assert "more, objects" in drawn(LIPAC_PT_memory)
 
 
 def test_a_click_selects(textured):

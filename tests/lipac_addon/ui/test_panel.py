@@ -1,6 +1,5 @@
 """What the panels say: Blender's own layout, read back."""
 
-from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -12,24 +11,6 @@ from lipac.lipac_addon.ui.jobs import engine, job, live
 from lipac.lipac_addon.ui.jobs.analysis import AnalysisJob
 from lipac.lipac_addon.ui.state import applying, results
 from lipac.lipac_addon.ui.state.results import Difference
-
-
-@pytest.fixture
-def drawn(capfd):
-    """A panel's draw() with a real layout; returns what is in it as text. Wrong property names, which Blender only
-    prints, fail the test."""
-
-    def run(cls):
-        popup = bpy.context.window_manager.popmenu_begin__internal("test", icon="NONE")
-        capfd.readouterr()
-        cls.draw(SimpleNamespace(layout=popup.layout), bpy.context)
-        out, err = capfd.readouterr()
-        assert not err.strip(), err
-        assert "Error" not in out
-        return str(popup.layout.introspect())
-
-    return run
-
 
 PANELS = panel._CLASSES
 
