@@ -22,13 +22,17 @@ KERNELS = 120  # kept when the path tracing kernel, which unites most of them, i
 LAST = 0.15  # of the whole time, for that one
 
 
-def load_ahead() -> None:
+_waiting: list[threading.Timer] = []  # to load kernels
+
+
+def load_ahead(after: float = 0.0) -> None:
     """Load the engine and its kernels in a thread of their own, where they were compiled before and more than one
     thread may run: whoever needs them finds them there, or waits for the rest.
 
     Worth while before work that leaves Python alone, such as Blender opening a file. It does nothing that would not be
-    done later.
+    done later. after: seconds in which `not_needed` may still say that nobody will need them.
     """
+    not_needed()
     folder = os.environ.get("NUMBA_CACHE_DIR")  # by kernel_cache
     if processors() == 1 or not folder or not any(Path(folder).glob("*/tile_kernel.trace_tiles-*.nbi")):
         return
@@ -40,7 +44,16 @@ def load_ahead() -> None:
 
             trace_tiles.compile((int64[:, ::1], int64[::1], uint64[::1]))
 
-    threading.Thread(target=load, name="kernels").start()
+    timer = threading.Timer(after, load)
+    timer.name = "kernels"
+    _waiting.append(timer)
+    timer.start()
+
+
+def not_needed() -> None:
+    """Do not load ahead what has not begun to be loaded."""
+    while _waiting:
+        _waiting.pop().cancel()
 
 
 class _Compiling(event.Listener):

@@ -45,11 +45,10 @@ def _judged(report: dict[str, Any], measured: tuple[float, float] | None) -> Ver
     if not frames:
         return Verdict(FAIR, "No frame is finished", ("Nothing can be said yet.",))
     if not any(frame["culled"] for frame in frames):
-        return Verdict(
-            FAIR,
-            "Nothing was left out",
-            ("Everything is in the picture: there is no change to judge, and nothing is saved.",),
-        )
+        why = next((frame["not_analysed"] for frame in frames if "not_analysed" in frame), "")
+        said = "Everything is in the picture: there is no change to judge, and nothing is saved."
+        return Verdict(FAIR, "Nothing was left out", (said, *([f"{why[:1].upper()}{why[1:]}."] if why else ())))
+    frames = [frame for frame in frames if "not_analysed" not in frame]
     bound = bound_of(report)
     verified = [frame for frame in frames if "verified_mean" in frame]
     certified = [frame for frame in frames if "certified_mean" in frame]

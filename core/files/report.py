@@ -248,8 +248,9 @@ class Report:
         return "\n".join([*_aligned([head, *rows]), *self._error(), last + peak])
 
     def _error(self) -> list[str]:
-        """How far the pictures may have changed, as the analysis found, and as --verify measured."""
-        out = []
+        """How far the pictures may have changed, as the analysis found, and as --verify measured; why nothing was."""
+        whole = next((f["not_analysed"] for f in self.frames if "not_analysed" in f), "")
+        out = [f"{whole}; --cull light-paths analyses all the same"] * bool(whole)
         measured = f"the same in crops, rendered by {self.engine or 'path'}"
         sure = min((f["confidence"] for f in self.frames if "confidence" in f), default=0.0)
         unmeasured = not any("verified_mean" in f for f in self.frames)

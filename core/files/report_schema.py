@@ -120,6 +120,7 @@ FRAME: dict[str, tuple[dict[str, Any], str]] = {
     "raster_s": (SHARE, "`hybrid`: of EEVEE and first hits"),
     # Other
     "device": (TEXT, "what the engine rendered on"),
+    "not_analysed": (TEXT, "why nothing was culled, where culling could save nothing"),
     "writeback": (
         {
             "type": "object",

@@ -1,5 +1,5 @@
 """What a render by Cycles takes of the host's memory, in bytes, by what is in it: meshes, images, instances, and what
-is there whatever is culled.
+is there whatever is culled; and of its time, whether an analysis could win anything of it.
 
 A rate is what a sweep of synthetic scenes measured for each thing more of a kind (`lipac.scripts.studies.memory.sweep`,
 docs/memory.md), Blender's own copy of it included. Cycles builds BVHes side by side, so how much of them is there at
@@ -23,6 +23,45 @@ ERROR, SLACK = 0.12, 12_000_000  # of a prediction, the process before the rende
 DELETING_TRIANGLE = 50  # of a mesh of which faces are deleted before the render, that of all of them
 ROW = 200  # of what geometry nodes place, whether it is deleted before the render or not
 OBJECT, EMPTY, PLACED = 21_000, 12_400, 1_600  # of an object, of one that instances a collection, of what is instanced
+
+# Processor seconds (`lipac.scripts.studies.memory.seconds`, docs/memory.md), at most: of one thing more until Cycles
+# samples
+OBJECT_S, PLACED_S, TRIANGLE_S, IMAGE_BYTE_S = 2e-4, 1e-5, 6e-7, 1e-8
+# of a path of Cycles, at least and at most; what culling saves of it, at most
+PATH_S, CHEAPER = (5e-7, 1e-5), 0.15
+# of an analysis, at least: once, with bytes; of a path of it, times what one of Cycles takes, with bytes
+LOADING_S, LOADED, ANALYSED, ANALYSED_BYTES = 0.2, 20_000_000, 1.0, 100
+
+
+@dataclass(frozen=True)
+class Stakes:
+    """What culling could win of a frame. seconds: by which what it saves, at most, is more than what the analysis
+    takes, at least; saved: bytes, at most. instances; paths: of the picture; analysed: of the analysis."""
+
+    seconds: float
+    saved: int
+    instances: int
+    paths: int
+    analysed: int
+
+    @staticmethod
+    def of(
+        costs: RenderCosts, objects: int, evaluated_s: float, paths: int, analysed: int, frames: int, processors: int
+    ) -> Stakes:
+        """Of a scene with such costs, in which so many of the instances are objects by themselves. evaluated_s: what
+        Blender took to evaluate it; frames: that share what is loaded once."""
+        count = len(costs.instance)
+        size = [int(part.sum(dtype=np.int64)) for part in (costs.mesh, costs.instance, costs.image)]
+        read = objects * OBJECT_S + (count - objects) * PLACED_S + size[2] * IMAGE_BYTE_S
+        read += int(costs.bvh.sum()) / BVH_TRIANGLE * TRIANGLE_S
+        sampling = CHEAPER * paths - ANALYSED * analysed  # in paths of Cycles
+        sampling *= PATH_S[sampling > 0] / processors
+        return Stakes(evaluated_s + read + sampling - LOADING_S / frames, sum(size), count, paths, analysed)
+
+    @property
+    def nothing_to_win(self) -> bool:
+        """Whether neither seconds nor bytes can be saved."""
+        return self.seconds < 0 and self.saved < LOADED + ANALYSED_BYTES * self.analysed
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from ..depsgraph import show_frame
 from ..extract import Extraction
 from ..keys import Keys
 from ..memory.limit import PROCESS
+from ..memory.stakes import NothingToWin
 from ..writeback import WritebackResult
 from ..writeback.plan import NO_LEVELS
 from .ahead import Ahead
@@ -131,7 +132,11 @@ def _done(sessions: Sequence[Session], frame: int, progress: Progress, cancelled
         return _render_whole(job, frame, progress)
     if job.engine in ("", *BLENDER_ENGINES):
         within = part(progress, 0.0, ANALYSIS_SHARE if job.engine else 1.0)
-        decided = decide_layers(sessions, frame, last, within, cancelled)
+        try:
+            decided = decide_layers(sessions, frame, last, within, cancelled)
+        except NothingToWin as found:
+            sessions[0].close()
+            return _render_whole(job, frame, progress, found)
         decided.save(job.states(frame))
         entry, warnings = decided.entry, decided.warnings
         if job.engine:
@@ -209,8 +214,9 @@ def render(job: Job, frame: int, progress: Progress) -> Rendered:
     return render_blender(job.engine, job.stem(frame), job.samples, job.seed, job.threads, progress, device=job.device)
 
 
-def _render_whole(job: Job, frame: int, progress: Progress) -> Outcome:
-    """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed."""
+def _render_whole(job: Job, frame: int, progress: Progress, because: NothingToWin | None = None) -> Outcome:
+    """Render a frame as Blender does, and count in passing: nothing is culled, so nothing is analysed. because: of what
+    was found instead."""
     show_frame(bpy.context.scene, frame)
     before = resident_memory()
     with counting() as counted:
@@ -226,8 +232,11 @@ def _render_whole(job: Job, frame: int, progress: Progress) -> Outcome:
         counted.keys.names,
     )
     counts = {"instances": n, "active": n, "meshes": counted.meshes}
-    seconds = {"sync_s": counted.seconds, **rendered.entry(), "render_s": rendered.seconds - counted.seconds}
-    return Outcome({"frame": frame, **seconds, **counts, **counted.figures(before)}, memory=counted.memory(frame))
+    spent = counted.seconds + (because.seconds if because else 0.0)
+    seconds = {"sync_s": spent, **rendered.entry(), "render_s": rendered.seconds - counted.seconds}
+    why = {"not_analysed": str(because)} if because else {}
+    entry = {"frame": frame, **why, **seconds, **counts, **counted.figures(before)}
+    return Outcome(entry, memory=counted.memory(frame))
 
 
 def _beside(figures: dict[str, int]) -> dict[str, int]:

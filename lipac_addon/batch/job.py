@@ -47,7 +47,8 @@ class Job:
     arguments of `lipac analyze` that decide the same in a process of its own, where that is to go on while frames are
     rendered; none: it is not. texture_cache: for Cycles, the folder of Blender's files of tiles of images
     (`texture_cache`); None: as the scene is set. process: bytes of the process that renders, before it does, where its
-    memory is limited (`CullOptions.memory`); 0: not known.
+    memory is limited (`CullOptions.memory`); 0: not known. if_it_pays: where culling can save nothing of what Cycles
+    takes on the CPU for a frame, render it whole, without an analysis (`memory.stakes`).
     """
 
     folder: Path
@@ -70,6 +71,7 @@ class Job:
     ahead: tuple[str, ...] = ()
     texture_cache: Path | None = None
     process: int = 0
+    if_it_pays: bool = False
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""

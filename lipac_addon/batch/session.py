@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -17,18 +18,23 @@ from ...core.culling.policies import LIGHT_PATHS
 from ...core.progress import Progress, part, silent
 from ...core.scene.bounds import existing
 from ...core.scene.model import RAY_TYPES, Scene
+from ...core.warmup import load_ahead, not_needed
 from .. import roles, writeback
 from ..console import muted
 from ..depsgraph import rendered_layers
 from ..extract import Extraction, Extractor
 from ..keys import any_of
 from ..memory.limit import PROCESS, limited
+from ..memory.stakes import NothingToWin, stakes_of
 from .engines.choices import BLENDER_ENGINES, ENGINES
+from .engines.wishes import samples_of
 from .job import Cancel, Job, never
 
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
     from ...core.culling.shot import How, Shot
+    from ..extract.graph import GraphReader
+    from ..extract.graph_items import Node
 
 Decide = Callable[["Session", Extraction, Progress, Cancel], "CullingResult"]
 
@@ -68,15 +74,27 @@ class Session:
 
     def sync(self, frame: int) -> tuple[Extraction, dict[str, Any]]:
         """Extract a frame of the open file with nothing culled; the second value is the frame's entry for the report so
-        far."""
+        far. Raises NothingToWin where the job asks for it."""
         start = time.perf_counter()
         with muted():
             writeback.restore()
             whole = self.job.engine in ("", *BLENDER_ENGINES)
             self._extractor = self._extractor or Extractor(bpy.context.scene, self.layer, whole=whole)
-            extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
+            look = partial(self._weigh, start) if self.job.if_it_pays and self.alone else None
+            extraction = replace(self._extractor.frame(frame, self.keep, look=look), scatters={})
         self._pinned = None
         return extraction, {"frame": frame, "sync_s": time.perf_counter() - start}
+
+    def _weigh(self, start: float, reader: GraphReader, nodes: Sequence[Node]) -> None:
+        """Raise NothingToWin where that is so; else what decides is wanted soon. start: `time.perf_counter()` when the
+        frame was begun."""
+        job, scene = self.job, bpy.context.scene
+        spent, samples = time.perf_counter() - start, job.samples or samples_of(scene, job.engine)
+        stakes = stakes_of(reader, nodes, scene, job.options, samples, len(job.frames), spent)
+        if stakes is not None and stakes.nothing_to_win:
+            not_needed()
+            raise NothingToWin(stakes, time.perf_counter() - start)
+        load_ahead()
 
     def expose(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -37,6 +37,7 @@ from .shutter import Shutter, same_camera
 from .world import ExtractedWorld, extract_world
 
 MUCH = 0.25  # of the diagonal of a mesh's box: displaced by more, it may be anywhere about
+Look = Callable[[GraphReader, Sequence[Node]], None]  # is shown a graph, and the objects at its top
 
 
 @dataclass(frozen=True)
@@ -105,8 +106,9 @@ class SceneReader:
         self._placed: Placed | None = None
         self._last: tuple[Scene, Shading] | None = None
 
-    def read(self, depsgraph: Any, goes_on: bool) -> Frame:
-        """A frame, from its graph. goes_on: it is the graph of the last call, evaluated anew.
+    def read(self, depsgraph: Any, goes_on: bool, look: Look | None = None) -> Frame:
+        """A frame, from its graph. goes_on: it is the graph of the last call, evaluated anew; look: as of
+        `Extractor.frame`.
 
         Raises InputError: no camera, an unsupported camera, nothing to render.
         """
@@ -116,6 +118,8 @@ class SceneReader:
             raise InputError(NO_CAMERA)
         camera = None if _stand_in(scene) else extract_camera(scene.camera, scene, film)
         nodes = graph.read(depsgraph, goes_on)
+        if look is not None:
+            look(graph, nodes)
         shading = self._shading.read(graph)
         linked, names = linked_materials(graph.order), tuple(graph.geometry.slots.order)
         lines, materials = linked_emission(shading.materials, names, linked, self.most)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from types import TracebackType
 from typing import Any
 
@@ -10,7 +11,7 @@ from ...core.errors import InputError
 from ...core.tracing.second_process import share
 from ..depsgraph import RenderGraph, go_to, show_frame
 from .camera import NO_CAMERA
-from .scene import Extraction, Frame, SceneReader
+from .scene import Extraction, Frame, Look, SceneReader
 from .shutter import Shutter, read_shutter
 from .world import ExtractedWorld, baked_world, constant_world, fingerprint
 
@@ -58,12 +59,15 @@ class Extractor:
     ) -> None:
         self.release()
 
-    def frame(self, number: int | None = None, keep: bool = True, at: float = 0.0) -> Extraction:
+    def frame(
+        self, number: int | None = None, keep: bool = True, at: float = 0.0, look: Look | None = None
+    ) -> Extraction:
         """A frame, by default the scene's current one, which it then is. keep: hold the graph for the next frame, until
         `release`.
 
         at: what is where so many frames later, seen by the cameras of the frame itself, which must have been extracted
         just before; what moves is there at one of `Extraction.moments`.
+        look: is shown what Blender has evaluated before more of it is read, and may raise what ends it.
         Raises InputError: no camera, an unsupported camera, nothing to render, the scene cannot be rendered.
         """
         if number is not None:
@@ -74,7 +78,7 @@ class Extractor:
         try:
             if at:
                 go_to(self.scene, own + at)
-            frame, world, mark = self._graph.evaluate(self._read, keep)
+            frame, world, mark = self._graph.evaluate(partial(self._read, look=look), keep)
         finally:
             if at:
                 go_to(self.scene, own)
@@ -99,14 +103,16 @@ class Extractor:
         self._reader.graph.forget()
         self._graph.release()
 
-    def _read(self, depsgraph: Any, goes_on: bool) -> tuple[Frame, ExtractedWorld | None, str]:
+    def _read(
+        self, depsgraph: Any, goes_on: bool, look: Look | None = None
+    ) -> tuple[Frame, ExtractedWorld | None, str]:
         """What there is to read of a graph: the frame, the world where it needs no render, and what tells that it is
         another."""
         start, world = time.perf_counter(), self._given
         item = getattr(depsgraph.view_layer_eval, "world_override", None) or depsgraph.scene_eval.world
         if world is None:
             world = constant_world(item)
-        frame = self._reader.read(depsgraph, goes_on)
+        frame = self._reader.read(depsgraph, goes_on, look)
         if self._whole and not self._at:
             number = depsgraph.scene_eval.frame_float  # perhaps between two frames
             self._shutter = read_shutter(depsgraph, frame.scene.film, lambda time: self._graph.move_to(number + time))

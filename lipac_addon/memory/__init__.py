@@ -1,2 +1,2 @@
-"""Who takes the memory of a render: bytes by mesh, image and instance of an extracted frame, and why each of them
-stays."""
+"""What a render takes, and who takes it: bytes by mesh, image and instance of an extracted frame, and why each of them
+stays; whether culling could save anything."""

@@ -7,6 +7,7 @@ import dataclasses
 import gc
 import os
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from ...core.culling.policies import LIGHT_PATHS
 from ...core.errors import InputError
 from ...core.files.digest import digest
 from ...core.threads import limit, processors
-from ...core.warmup import load_ahead, telling
+from ...core.warmup import load_ahead, not_needed, telling
 from ...version import __version__
 from .clock import began
 from .interrupt import ctrl_c
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from ...lipac_addon.batch.job import Job
 
 MOST_LINES = 20  # of a kind that a command prints
+HESITATION = 0.5  # seconds until kernels are loaded that may not be needed: a small scene is open and weighed by then
 
 
 def do_frames(
@@ -47,7 +49,9 @@ def do_frames(
         progress_of(args.quiet) as shown,
         telling(shown) as progress,
         ctrl_c() as cancelled,
+        ExitStack() as at_end,
     ):
+        at_end.callback(not_needed)
         progress(0.0, "opening the scene")
         from ...lipac_addon.console import muted
 
@@ -65,7 +69,7 @@ def do_frames(
         # where another process analyses, this one holds nothing of what that takes
         elsewhere = engine and (args.memory or getattr(args, "ahead", False))
         if (args.cull != "none" or engine not in BLENDER_ENGINES) and not elsewhere:
-            load_ahead()
+            load_ahead(HESITATION if args.if_it_pays else 0.0)
         if args.scene is not None:
             unread = (
                 f"lipac {args.command}: cannot read {args.scene}: its reader crashed: it is damaged, or memory is "
@@ -120,6 +124,7 @@ def do_frames(
             ahead,
             tiles,
             args.process or 0,
+            args.if_it_pays and engine == "cycles" and not _off_the_cpu(args),
         )
         report = new_report(args, job)
         report.began = began()

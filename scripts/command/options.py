@@ -15,6 +15,13 @@ from ...core.errors import InputError
 from ...lipac_addon.batch.engines.choices import BLENDER_ENGINES, ENGINES
 from .arguments import byte_count, crop_count, frame_range, number, path_count, resolution, seed_number, thread_count
 
+_SETTINGS = tuple(policy.setting.name for policy in RULES.values() if policy.setting is not None and policy.listed)
+# options that tell how to cull, and what for
+HOW = (
+    "cull", "max_error", "min_share", "paths", "memory", "bake", "shot", "warm", "no_parts", "levels", "no_mitigation",
+    "blas_budget", "verify", "enforce", "ahead", *_SETTINGS
+)
+
 
 class Parser(argparse.ArgumentParser):
     """Errors are one line, through `InputError`."""
@@ -48,7 +55,10 @@ def scene_parser(command: str, description: str) -> Parser:
     )
     culling = parser.add_argument_group("culling")
     listed = [name for name, policy in POLICIES.items() if policy.listed]
-    culling.add_argument("--cull", choices=listed, default=LIGHT_PATHS, help="what decides (default: %(default)s)")
+    decides = f"what decides (default: {LIGHT_PATHS}"
+    if command == "render":
+        decides += "; with no option of this group or of a shot, and no --verify: where culling can save anything"
+    culling.add_argument("--cull", choices=listed, help=f"{decides})")
     error = (
         "light-paths: error budget: bounds of the relative change of the picture's 16 x 9 tiles, as shares, in mean "
         "and of the worst tile (default: 0.01; T: five times E)"
@@ -135,6 +145,13 @@ def scene_parser(command: str, description: str) -> Parser:
     general.add_argument("--threads", type=thread_count, default=0, metavar="N", help=threads)
     general.add_argument("--quiet", action="store_true", help="no progress")
     return parser
+
+
+def settle(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+    """What a command line that was read leaves open: `if_it_pays`, whether it says nothing of how to cull; and
+    `cull`."""
+    args.if_it_pays = all(getattr(args, name, None) == parser.get_default(name) for name in HOW)
+    args.cull = args.cull or LIGHT_PATHS
 
 
 def cull_options(args: argparse.Namespace) -> CullOptions:

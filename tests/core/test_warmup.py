@@ -30,6 +30,7 @@ import sys
 kernels = sys.modules.get("lipac.core.tracing.tile_kernel")
 print("LOADED", 0 if kernels is None else sum(kernels.trace_tiles.stats.cache_hits.values()))
 """
+UNLOADED = LOAD.replace("load_ahead()\n", "load_ahead(30.0)\nfrom lipac.core.warmup import not_needed\nnot_needed()\n")
 TYPES = (numba.int64[:, ::1], numba.int64[::1], numba.uint64[::1])
 
 
@@ -41,6 +42,12 @@ def test_kernels_are_loaded_ahead_where_they_are_compiled(cold, tmp_path, monkey
         trace_tiles.compile(TYPES)
     done = subprocess.run([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True, check=True)
     assert done.stdout.split() == ["LOADED", "0" if cold else "1"]
+
+
+def test_nothing_is_loaded_that_is_not_needed_after_all() -> None:
+    trace_tiles.compile(TYPES)
+    done = subprocess.run([sys.executable, "-c", UNLOADED], stdout=subprocess.PIPE, text=True, check=True)
+    assert done.stdout.split() == ["LOADED", "0"]
 
 
 def test_the_loaded_kernel_is_the_one_that_tracing_calls():

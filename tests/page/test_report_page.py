@@ -335,6 +335,7 @@ def test_a_page_of_the_users_is_kept_beside(tmp_path: Path) -> None:
         ),
         ({}, {"max_error": None}, "light-paths", FAIR, ""),
         ({"culled": 0}, {}, "none", FAIR, "Everything is in the picture"),
+        ({"culled": 0, "not_analysed": "nothing can be won"}, {}, "light-paths", FAIR, "Nothing can be won."),
         ({"needed": 3}, {}, "light-paths", GOOD, "set of the shot"),
     ],
 )

@@ -88,7 +88,7 @@ def test_render_from_a_shell(blend, tmp_path):
     """Two frames by Cycles: files, report, states, clean output, the .blend untouched; what is behind the wall is
     culled and changes nothing in the picture."""
     before = hashlib.sha256(blend.read_bytes()).hexdigest(), sorted(p.name for p in blend.parent.iterdir())
-    done = command("render", blend, "-o", tmp_path / "a", "--frames", "1-2", *SMALL)
+    done = command("render", blend, "-o", tmp_path / "a", "--cull", "light-paths", "--frames", "1-2", *SMALL)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0].split()[:3] == ["frame", "instances", "active"]
     assert len(done.stdout.splitlines()) == 5
@@ -123,6 +123,21 @@ def test_render_from_a_shell(blend, tmp_path):
     check_report(tmp_path / "b")
     assert json.loads((tmp_path / "b" / "report.json").read_text())["frames"][0]["active"] == 40
     assert before == (hashlib.sha256(blend.read_bytes()).hexdigest(), sorted(p.name for p in blend.parent.iterdir()))
+
+
+def test_a_scene_with_nothing_to_win_is_rendered_in_full(blend, tmp_path, capfd):
+    assert main(["render", str(blend), "-o", str(tmp_path), "--device", "cpu", "--quiet", *SMALL]) == 0
+    out, err = capfd.readouterr()
+    said = next(line for line in out.splitlines() if line.startswith("nothing is culled"))
+    assert said.endswith("; --cull light-paths analyses all the same")
+    assert err == ""
+    check_report(tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["policy"] == "light-paths"
+    (frame,) = report["frames"]
+    assert frame["active"] == frame["instances"] == 40
+    assert "nothing is culled" in frame["not_analysed"]
+    assert "Nothing is culled" in (tmp_path / "report.html").read_text()
 
 
 @pytest.mark.parametrize("policy", [name for name, policy in RULES.items() if policy.listed])

@@ -13,10 +13,9 @@ import numpy as np
 
 from ....core.files.memory_table import MemoryRow
 from ...extract.graph import GraphReader
-from ...extract.instances import Placer
 from ...keys import KEY, Keys
-from ...memory.costs import SlotMaterials, named_costs
 from ...memory.rows import Weighed
+from ...memory.stakes import weigh
 
 
 @dataclass
@@ -51,11 +50,8 @@ def counting() -> Iterator[Counted]:
         start = time.perf_counter()
         try:
             reader = GraphReader()
-            rows = Placer(reader, np.zeros(3)).place(reader.read(depsgraph, False)).rows
+            named, rows = weigh(reader, reader.read(depsgraph, False), bpy.context.scene)
             counted.keys, counted.meshes = Keys(rows.records, tuple(reader.names)), len(np.unique(rows.mesh))
-            slots = SlotMaterials(reader.geometry.slots.table(), tuple(reader.geometry.slots.order))
-            sources = reader.geometry.meshes.sources
-            named = named_costs(sources, rows.mesh, rows.slots, rows.records, slots, bpy.context.scene)
             counted.weighed.append(Weighed.whole(named, rows.instances(), counted.keys))
             reader.forget()
         except Exception as error:  # Blender would print it and go on

@@ -231,7 +231,7 @@ def pictures(folder: Path) -> dict[str, Any]:
         scene, out = folder / f"{name}.blend", folder / f"picture-{name}"
         compare.lipac("demo", name, "-o", scene, "--instances", str(count))
         where = ("--frames", str(frame), "--resolution", "{}x{}".format(*PICTURE_SIZE))
-        compare.lipac("render", scene, "-o", out, *where, "--samples", "32")
+        compare.lipac("render", scene, "-o", out, "--cull", "light-paths", *where, "--samples", "32")
         shown = compare.pictures(folder, out.name)[1][..., :3]
         tlas = compare.tlas_of(scene, out / "states" / f"frame_{frame:04}.npz", frame, PICTURE_SIZE)
         with replacing(folder / f"{name}.jpg") as part:

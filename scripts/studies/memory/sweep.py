@@ -57,12 +57,37 @@ def measure(
     import bpy
 
     from ....core.files.usage import peak_memory, resident_memory
-    from ....lipac_addon.demo.builders import material
     from ....lipac_addon.extract import extract_frame
     from ....lipac_addon.memory.costs import costs_of
 
+    scene = build(triangles, meshes, subdivided, scattered, image, width, denoised)
+    before = resident_memory()
+    Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew (Linux)
+    bpy.ops.render.render()
+    own, extraction = peak_memory() - before, extract_frame(scene)
+    costs, instances = costs_of(extraction, scene).costs, extraction.scene.instances
+    return own, costs.total(instances.mesh, instances.slots, instances.mesh >= 0)
+
+
+def build(
+    triangles: int = 2,
+    meshes: int = 1,
+    subdivided: int = 0,
+    scattered: int = 0,
+    image: int = 0,
+    width: int = 320,
+    denoised: bool = False,
+    objects: int = 0,
+) -> Any:
+    """A scene of so many meshes with so many triangles each, copies of the last of them by geometry nodes (scattered)
+    and as objects, and an image, open; bpy.types.Scene."""
+    import bpy
+
+    from ....lipac_addon.demo.builders import material
+
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene, ob = bpy.context.scene, None
+    scene = bpy.context.scene
+    ob: Any = None
     painted = material("Painted", (0.8, 0.8, 0.8))
     if image:
         texture = painted.node_tree.nodes.new("ShaderNodeTexImage")
@@ -79,6 +104,10 @@ def measure(
         if subdivided:
             modifier = ob.modifiers.new("Subdivision", "SUBSURF")
             modifier.levels, modifier.render_levels = 0, subdivided
+    for k in range(objects):
+        other = bpy.data.objects.new("Copy", ob.data)
+        other.location = (k % 100, k // 100, 0)
+        scene.collection.objects.link(other)
     if scattered:
         _scatter(scene, ob, scattered)
     bpy.ops.object.camera_add(location=(0, 0, 3))
@@ -93,12 +122,7 @@ def measure(
     )
     scene.cycles.device, scene.cycles.samples, scene.cycles.use_denoising = "CPU", 4, denoised
     bpy.context.view_layer.update()
-    before = resident_memory()
-    Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew (Linux)
-    bpy.ops.render.render()
-    own, extraction = peak_memory() - before, extract_frame(scene)
-    costs, instances = costs_of(extraction, scene).costs, extraction.scene.instances
-    return own, costs.total(instances.mesh, instances.slots, instances.mesh >= 0)
+    return scene
 
 
 def _scatter(scene: Any, source: Any, count: int) -> None:

@@ -1,4 +1,7 @@
-"""What a render takes, in bytes, by what is in it."""
+"""What a render takes, in bytes and seconds, by what is in it."""
+
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from lipac.core.scene.render_costs import (
     UV_CORNER,
     VERTEX,
     RenderCosts,
+    Stakes,
 )
 
 
@@ -77,3 +81,39 @@ def test_parts_take_together_what_their_mesh_takes(costs):
     assert parts.fixed == 7 + costs.cutting[0]
     whole = instances([0, 1, 1, 2, 3, 4, 5], [0] * 7)
     assert parts.total(*whole, np.array([0, 0, 0, 0, 1, 0, 0], bool)) == parts.fixed + parts.mesh[3] + 1000
+
+
+def stakes(costs: RenderCosts, **more: Any) -> Stakes:
+    """Of one frame of such costs on two processors, a picture of 64 x 36 with 2 samples."""
+    given: dict[str, Any] = {"objects": 0, "evaluated_s": 0.0, "paths": 64 * 36 * 2, "analysed": 300_000, "frames": 1}
+    return Stakes.of(costs, **given | {"processors": 2} | more)
+
+
+def test_a_scene_of_little_has_nothing_to_win(costs: RenderCosts) -> None:
+    assert stakes(costs).nothing_to_win
+    assert stakes(costs, objects=4).seconds > stakes(costs).seconds  # an object takes more than what nodes place
+
+
+@pytest.mark.parametrize(
+    "much",
+    [
+        {"evaluated_s": 5.0},  # heavy modifiers
+        {"paths": 1920 * 1080 * 8},  # a share of these is more than an analysis takes
+        {"frames": 1_000_000, "analysed": 1000},  # a shot that loads once
+    ],
+)
+def test_any_one_thing_may_be_worth_an_analysis(costs: RenderCosts, much: dict[str, float]) -> None:
+    assert not stakes(costs, **much).nothing_to_win
+
+
+@pytest.mark.parametrize(
+    "heavy",
+    [
+        {"instance": np.zeros(200_000, np.int32)},  # seconds alone
+        {"bvh": np.array([3_000_000 * BVH_TRIANGLE, 0, 0])},
+        {"geometry": np.array([0, 80_000_000, 0])},  # bytes alone: a mesh of vertices
+        {"image": np.array([80_000_000, 0])},
+    ],
+)
+def test_any_heavy_thing_may_be_worth_an_analysis(costs: RenderCosts, heavy: dict[str, Any]) -> None:
+    assert not stakes(replace(costs, **heavy)).nothing_to_win

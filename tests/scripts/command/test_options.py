@@ -9,13 +9,15 @@ import pytest
 
 from lipac.core.errors import InputError
 from lipac.lipac_addon.batch.engines.choices import BLENDER_ENGINES, ENGINES, DeviceChoice, Engine
-from lipac.scripts.command.options import check, check_device, cull_options, scene_parser
+from lipac.scripts.command.options import check, check_device, cull_options, scene_parser, settle
 
 
 def parsed(folder: Path, engine: str, *options: str) -> argparse.Namespace:
     """Arguments of a command that renders an empty file by an engine."""
     (folder / "scene.blend").touch()
-    args = scene_parser("render", "").parse_args([str(folder / "scene.blend"), "-o", str(folder / "out"), *options])
+    parser = scene_parser("render", "")
+    args = parser.parse_args([str(folder / "scene.blend"), "-o", str(folder / "out"), *options])
+    settle(args, parser)
     args.engine = engine
     return args
 
@@ -81,3 +83,30 @@ def test_levels_are_of_blenders_engines(engine: str, tmp_path: Path) -> None:
         return
     with pytest.raises(InputError, match=r"^--levels is of Blender's engines"):
         check(args)
+
+
+@pytest.mark.parametrize(
+    ("options", "open_"),
+    [
+        ("", True),
+        ("--frames 1-9 --resolution 9x9 --seed 3 --threads 1 --resume --quiet", True),
+        ("--cull light-paths", False),
+        ("--max-error 0.01", False),
+        ("--min-share 0.1", False),
+        ("--paths 2", False),
+        ("--distance 3", False),
+        ("--bake shot", False),
+        ("--warm", False),
+        ("--no-parts", False),
+        ("--levels", False),
+        ("--blas-budget 1G", False),
+        ("--memory 8G", False),
+        ("--verify", False),
+    ],
+)
+def test_who_says_how_to_cull_is_analysed_in_any_case(options: str, open_: bool, tmp_path: Path) -> None:
+    parser = scene_parser("render", "")
+    args = parser.parse_args(["scene.blend", "-o", str(tmp_path), *options.split()])
+    settle(args, parser)
+    assert args.if_it_pays == open_
+    assert args.cull == "light-paths"
