@@ -1,5 +1,5 @@
-"""What the site is besides docs/: README as its first page, no links to files that are not on it, and formulas as
-MathML, which browsers show by themselves: only the flow charts of a few pages load a script (Mermaid) from the net."""
+"""What the site is besides docs/: README as its first page, no links to files that are not on it, formulas as MathML,
+which browsers show by themselves, and diagrams as they were drawn before. So it loads nothing from elsewhere."""
 
 import html
 import re
@@ -8,6 +8,8 @@ from typing import Any
 
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
+
+from lipac.scripts.dev.diagrams import BLOCK, file_of, title_of
 
 ROOT = Path(__file__).parents[1]
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">\s*\\[(\[](.*?)\\[)\]]\s*</\1>', re.DOTALL)
@@ -23,7 +25,8 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Links out of docs/ are text: the site has no repository beside it."""
+    """Links out of docs/ are text: the site has no repository beside it. Diagrams are pictures."""
+    markdown = BLOCK.sub(lambda found: f"![{title_of(found[1])}](diagrams/{file_of(found[1]).name})\n", markdown)
     return re.sub(r"\[([^\]]+)\]\(\.\./[^)]*\)", r"\1", markdown)
 
 

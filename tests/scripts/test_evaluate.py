@@ -12,6 +12,7 @@ from matplotlib.image import imread
 from lipac.core.evaluation import evaluate, oracle
 from lipac.scripts import lipac
 from lipac.scripts.studies import evaluate_report
+from lipac.scripts.studies.pictures.strips import BAR
 
 from ..docs.pages import ROOT
 from ..page.folder import Page
@@ -44,7 +45,7 @@ def test_evaluate_end_to_end(
     assert float(rows[0]["mean"]) == 0.0
     for name in ("error_memory", "error_time", "error_active"):
         assert imread(out / f"{name}.png").shape[1] > 600
-    assert imread(out / "pictures.png").shape[0] == 72
+    assert imread(out / "pictures.jpg").shape[0] == 72 + BAR
     report = (out / "report.md").read_text()
     assert report.rstrip() in shown.out
     for word in ("oracle", "heuristic", "Budget check", "Paths and boxes"):

@@ -36,7 +36,7 @@ def diagram(folder: str) -> str:
     """A Mermaid graph of the rooms of a folder: an arrow from each to those that it imports from, less those that
     follow from others."""
     uses = room_imports(folder)
-    lines = ["```mermaid", "graph TD"]
+    lines = ["```mermaid", "graph TD", f"    accTitle: What imports what in {folder}"]
     depth: dict[str, int] = {}
     for room in TopologicalSorter(uses).static_order():
         depth[room] = 1 + max((depth[used] for used in uses[room]), default=0)

@@ -37,14 +37,17 @@ def strip(pictures: Sequence[Picture], labels: Sequence[str]) -> Picture:
 
 
 def save(picture: Picture, path: Path) -> None:
-    """Save a picture (H, W, 3) uint8, rows from the top: .png without loss, or .jpg as good as LARGEST allows."""
+    """Save a picture (H, W, 3) uint8, rows from the top: .png without loss where LARGEST allows that, else with 256
+    colours; .jpg as good as LARGEST allows."""
     from PIL import Image
 
     image = Image.fromarray(np.ascontiguousarray(picture))
     if path.suffix == ".png":
         image.save(path, optimize=True)
+        if path.stat().st_size > LARGEST:
+            image.quantize(256).save(path, optimize=True)
         return
-    for quality in (92, 85, 75, 60):
-        image.save(path, quality=quality, optimize=True)
+    for quality in (92, 85, 75, 70, 60):
+        image.save(path, quality=quality, optimize=True, progressive=True)
         if path.stat().st_size <= LARGEST:
             return
