@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ....core.arrays import F32, F64, U32
 from ....core.scene.mesh import Mesh, MeshSequence
 from ....core.scene.placing import LARGEST
+from ..attributes import NAME, places
 from ..materials.displacement import Relief, shells
 from .fibres import Fibres
 
@@ -195,6 +196,45 @@ def _uv(mesh: Any, name: str) -> F32:
     return np.zeros((count, 2), np.float32) if layer is None else read(layer.uv, "vector", count, 2)
 
 
+def _attribute(mesh: Any, name: str, loops: NDArray[np.int32]) -> F32:
+    """(T, 3, 2) places of an attribute in the palette, for triangles of three corners each, (T, 3). name "": the active
+    colour. Where the mesh has none it is black, as in Cycles."""
+    attribute = mesh.attributes.get(name) if name else mesh.color_attributes.active_color
+    found = None if attribute is None else _FIELDS.get(attribute.data_type)
+    corner = None if attribute is None else _of_corners(mesh, attribute.domain)
+    if attribute is None or found is None or corner is None:
+        colors = np.zeros((len(loops), 3), np.float32)
+    else:
+        field, width, dtype = found
+        values = read(attribute.data, field, len(attribute.data), width, dtype).reshape(-1, width)
+        values = np.broadcast_to(values[:, : min(width, 3)], (len(values), 3))
+        colors = values[corner[loops]].astype(np.float32).mean(axis=1)
+    return np.repeat(places(colors)[:, None], 3, axis=1)
+
+
+_FIELDS: dict[str, tuple[str, int, type]] = {  # by type of an attribute: the field of its data, how wide, and of what
+    "FLOAT_COLOR": ("color", 4, np.float32),
+    "BYTE_COLOR": ("color", 4, np.float32),
+    "FLOAT_VECTOR": ("vector", 3, np.float32),
+    "FLOAT": ("value", 1, np.float32),
+    "INT": ("value", 1, np.int32),
+    "BOOLEAN": ("value", 1, np.bool_),
+}
+
+
+def _of_corners(mesh: Any, domain: str) -> NDArray[np.int32] | None:
+    """(loops,) element of a domain that each corner belongs to; None for edges."""
+    count = len(mesh.loops)
+    if domain == "CORNER":
+        return np.arange(count, dtype=np.int32)
+    if domain == "POINT":
+        return read(mesh.attributes[".corner_vert"].data, "value", count, dtype=np.int32)
+    if domain == "FACE":
+        sizes = read(mesh.polygons, "loop_total", len(mesh.polygons), dtype=np.int32)
+        return np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
+    return None
+
+
 def corners_of(mesh: Any) -> NDArray[np.int32]:
     """(T, 3) corners of the triangles of a mesh.
 
@@ -258,7 +298,12 @@ def _loaded(source: MeshSource, mesh: Any, uv_maps: Sequence[str]) -> Mesh:
     elif mesh.normals_domain == "POINT":
         normals = read(mesh.vertex_normals, "vector", len(positions), 3)
     if loops is not None and source.needs_uv:
-        uvs = np.stack([_uv(mesh, name)[loops] for name in uv_maps])
+        uvs = np.stack(
+            [
+                _attribute(mesh, name.removeprefix(NAME), loops) if name.startswith(NAME) else _uv(mesh, name)[loops]
+                for name in uv_maps
+            ]
+        )
     if source.slot_count > 1:
         slots = _slots(mesh)[kept]
     triangles: U32 = np.ascontiguousarray(vertices[kept]).view(np.uint32)

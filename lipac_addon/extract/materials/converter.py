@@ -10,10 +10,11 @@ import numpy as np
 
 from ....core.arrays import Records
 from ....core.scene.model import Shader, Unsure, default_material
-from .ranges import most_of
+from .ranges import most_of, range_of
 from .reader import MEAN, Reader, Value, grey
 from .textures import TextureTable
-from .trees import UNKNOWN, Tree, black, clear, mark, mixed, spread, unsure
+from .trees import UNKNOWN, Tree, black, clear, glowing, mark, mixed, spread, unsure
+from .volumes import glow_of
 
 HALF = grey(0.5)
 FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding
@@ -44,15 +45,18 @@ class Converter:
         tree = self.surface(node.inputs["Surface"])
         if node.inputs["Volume"].is_linked:
             self.report("volume not rendered")
+            glow = glow_of(node.inputs["Volume"]) if self.most else 0.0
             if not node.inputs["Surface"].is_linked:
-                return self._volume()
+                return self._volume(glow)
+            if glow > 0:
+                return mixed(black() if tree is None else tree, glowing(black(), 2 * glow))
         return black() if tree is None else tree
 
-    def _volume(self) -> Tree:
-        """The boundary of a volume: what passes it is scattered, or is not."""
+    def _volume(self, glow: float) -> Tree:
+        """The boundary of a volume: what passes it is scattered, or is not. glow: what a metre of it emits."""
         scatters = default_material()
         scatters["shader"] = Shader.TRANSLUCENT
-        return unsure(mixed(clear(), scatters))
+        return unsure(mixed(clear(), glowing(scatters, 2 * glow)))
 
     def surface(self, socket: Any) -> Tree | None:
         """What is linked to a shader socket; None where nothing is (black)."""
@@ -95,6 +99,15 @@ class Converter:
             record[f"{field}_texture"] = self.textures.index(value.use)
         record[f"{field}_channel"] = MEAN if value.channel is None else value.channel
 
+    def roughness(self, record: Records, socket: Any) -> None:
+        """The roughness; where it is not known, half of what is reflected is as sharp as it may be, and half as
+        spread."""
+        before, value = self.reader.doubts, self.reader.value(socket)
+        if self.most and self.reader.doubts > before:
+            low, high = (min(max(end, 0.0), 1.0) for end in range_of(socket))
+            value, self._spread = grey(low), max(self._spread, high)
+        self.scalar(record, "roughness", value)
+
     def product(self, a: Value, b: Value) -> Value:
         """Both multiplied, as one image at most."""
         if a.use is None or b.use is None:
@@ -126,7 +139,7 @@ class Converter:
         if source.type != "NORMAL_MAP" or source.space != "TANGENT":
             if source.type not in {"NEW_GEOMETRY", "TEX_COORD"}:
                 self.report(f"{source.bl_label} node on Normal not rendered: half of what is reflected is spread")
-                self._spread = UNKNOWN
+                self._spread = max(self._spread, UNKNOWN)
             return
         value = self.reader.image(self.reader.value(source.inputs["Color"]))
         if value.use is None:
@@ -134,7 +147,7 @@ class Converter:
         roughness = self._lost(value)
         if roughness > FINE:
             self.report("normal map looked at with fewer pixels: half of what is reflected is spread")
-            self._spread = roughness
+            self._spread = max(self._spread, roughness)
         record["normal_texture"] = self.textures.index(value.use)
         record["normal_strength"] = self.reader.constant(source.inputs["Strength"], "normal strength")[0]
 
@@ -159,7 +172,7 @@ class Converter:
         if "Roughness" in node.inputs:
             field = "diffuse_roughness" if shader == Shader.DIFFUSE else "roughness"
             if field == "roughness":
-                self.scalar(record, field, self.reader.value(node.inputs["Roughness"]))
+                self.roughness(record, node.inputs["Roughness"])
             else:
                 record[field] = self.reader.constant(node.inputs["Roughness"])[0]
         if "IOR" in node.inputs:

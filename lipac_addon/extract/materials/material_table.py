@@ -15,14 +15,16 @@ from collections.abc import Callable
 from itertools import product
 from typing import Any
 
+import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ....core.arrays import Records
 from ....core.scene.model import VIEWS, Shader, Unsure, default_material
 from . import nodes, shaders
 from .converter import Converter
 from .displacement import Relief, relief_of
-from .reader import Reader, View
+from .reader import Reader, View, no_objects
 from .textures import TextureTable
 from .trees import UNKNOWN, Composed, Tree, black, clear, heads, key_of, leaves, mixed, spread, unsure
 
@@ -97,7 +99,7 @@ class MaterialTable:
         tree = inlined.node_tree
         if tree.get_output_node("CYCLES") is None:
             tree = material.node_tree  # only the active output is inlined, and that one may be EEVEE's
-        out = convert_tree(tree, self.textures, report, self.most)
+        out = convert_tree(tree, self.textures, report, self.most, lambda: _colors_of_objects(material.name_full))
         if loops:  # the constants in its place may be shares of anything
             out = unsure(mixed(out, clear()), whether=True)
         relief = relief_of(tree) if material.displacement_method != "BUMP" and self.most else None
@@ -142,15 +144,31 @@ def _is_textured(record: Records) -> bool:
     return any(record[name] >= 0 for name in record.dtype.names or () if name.endswith("_texture"))
 
 
-def convert_tree(tree: Any, textures: TextureTable, report: Callable[[str], None], most: bool = True) -> Tree:
-    """The material of an inlined shader tree. most: as of `MaterialTable`."""
+def _colors_of_objects(material: str) -> NDArray[np.float64]:
+    """(K, 4) colours of the objects of the file that show a material, by its full name."""
+    shown = [
+        tuple(ob.color)
+        for ob in bpy.data.objects
+        if any(slot.material is not None and slot.material.name_full == material for slot in ob.material_slots)
+    ]
+    return np.array(shown, np.float64).reshape(-1, 4)
+
+
+def convert_tree(
+    tree: Any,
+    textures: TextureTable,
+    report: Callable[[str], None],
+    most: bool = True,
+    objects: Callable[[], NDArray[np.float64]] = no_objects,
+) -> Tree:
+    """The material of an inlined shader tree. most: as of `MaterialTable`; objects: as of `Reader`."""
     output = tree.get_output_node("CYCLES")
     if output is None:
         return black()
 
     def seen_by(view: View) -> tuple[Tree, bool]:
         """What a view sees, and whether that depends on it."""
-        reader = Reader(textures, report, view, nodes)
+        reader = Reader(textures, report, view, nodes, objects)
         return Converter(textures, report, reader, shaders, most).output(output), reader.asked
 
     out, asked = seen_by(View(0, False))

@@ -55,6 +55,27 @@ def node_new_geometry(reader: Reader, node: Any, socket: Any) -> Value | None:
     return grey(float(reader.view.back))
 
 
+def node_object_info(reader: Reader, node: Any, socket: Any) -> Value | None:
+    """Colour and alpha: what all objects have that show the material, or their mean."""
+    colors = reader.objects() if socket.name in {"Color", "Alpha"} else np.zeros((0, 4))
+    if not len(colors):
+        return None
+    found = colors[:, :3] if socket.name == "Color" else np.repeat(colors[:, 3:], 3, axis=1)
+    if (found != found[0]).any():
+        return reader.average(node, found.mean(axis=0))
+    return Value(tuple(float(v) for v in found[0]))  # type: ignore[arg-type]
+
+
+def node_vertex_color(reader: Reader, node: Any, socket: Any) -> Value:
+    return reader.attribute(node.layer_name) if socket.name == "Color" else reader.average(node, 1.0)
+
+
+def node_attribute(reader: Reader, node: Any, socket: Any) -> Value:
+    if node.attribute_type == "GEOMETRY" and node.attribute_name and socket.name in {"Color", "Factor", "Fac"}:
+        return reader.attribute(node.attribute_name)
+    return reader.average(node, 1.0)
+
+
 def node_tex_image(reader: Reader, node: Any, socket: Any) -> Value:
     if node.projection != "FLAT":
         reader.doubt(

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....core.scene.model import Extension
+from .. import attributes
 from .arithmetic import Array
 from .textures import ImageUse, TextureTable
 
@@ -52,16 +54,28 @@ def grey(value: float) -> Value:
     return Value((float(value),) * 3)
 
 
+def no_objects() -> NDArray[np.float64]:
+    """The colours of no objects."""
+    return np.zeros((0, 4))
+
+
 class Reader:
     """Reads the sockets of one inlined tree, as one view sees them.
 
     asked: whether anything depended on the view. doubts: how many values so far are but stand-ins for others.
     """
 
-    def __init__(self, textures: TextureTable, report: Callable[[str], None], view: View, nodes: ModuleType) -> None:
+    def __init__(
+        self,
+        textures: TextureTable,
+        report: Callable[[str], None],
+        view: View,
+        nodes: ModuleType,
+        objects: Callable[[], NDArray[np.float64]] = no_objects,
+    ) -> None:
         """nodes: its functions `node_TYPE(reader, node, socket)` evaluate nodes of the type of that name in lower case,
-        or return None."""
-        self.nodes = nodes
+        or return None. objects: the colours, (K, 4), of the objects that show the tree."""
+        self.nodes, self.objects = nodes, objects
         self.textures = textures
         self.report = report
         self.view = view
@@ -149,6 +163,12 @@ class Reader:
         weights = LUMINANCE if source.type == "RGBA" else np.full(3, 1 / 3, np.float32)
         return self.map(lambda a: np.repeat((a @ weights)[..., None], 3, axis=2), value)
 
+    def attribute(self, name: str) -> Value:
+        """A colour or number that meshes have by this name."""
+        palette = self.textures.add(attributes.palette())
+        place = self.textures.uv_map(f"{attributes.NAME}{name}")
+        return Value((1.0, 1.0, 1.0), ImageUse(palette, place, extension=int(Extension.EXTEND), closest=True))
+
     def average(self, node: Any, color: Any) -> Value:
         """Stand-in for a node that the engine does not evaluate."""
         self.doubt(f"{node.bl_label} node replaced by a constant")
@@ -162,6 +182,4 @@ class Reader:
         if node.type in {"TEX_CHECKER", "TEX_BRICK"}:
             a, b = (self.constant(node.inputs[k]) for k in ("Color1", "Color2"))
             return self.average(node, (a + b) / 2 if socket.type == "RGBA" else 0.5)
-        if node.type in {"VERTEX_COLOR", "ATTRIBUTE"}:
-            return self.average(node, 1.0)
         return self.average(node, 0.5)

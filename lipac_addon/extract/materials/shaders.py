@@ -41,7 +41,7 @@ UNSUPPORTED = {
     "Transmission Dispersion Scale": "dispersion",
 }
 PORTAL = "Ray Portal not rendered: what it shows from elsewhere is not known; nothing is culled"
-SCALARS = ("metallic", "roughness", "alpha", "transmission")
+SCALARS = ("metallic", "alpha", "transmission")
 # linear in `base_color`
 TINTED = {Shader.DIFFUSE, Shader.GLOSSY, Shader.GLASS, Shader.TRANSPARENT, Shader.REFRACTION, Shader.TRANSLUCENT}
 
@@ -50,7 +50,8 @@ def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
     record = default_material()
     sockets = node.inputs
     converter.color(record, "base_color", converter.reader.value(sockets["Base Color"]))
-    names = {"metallic": "Metallic", "roughness": "Roughness", "alpha": "Alpha", "transmission": "Transmission Weight"}
+    converter.roughness(record, sockets["Roughness"])
+    names = {"metallic": "Metallic", "alpha": "Alpha", "transmission": "Transmission Weight"}
     for field in SCALARS:
         before, share = converter.reader.doubts, converter.reader.value(sockets[names[field]])
         if converter.reader.doubts > before and field in {"alpha", "transmission"}:
@@ -137,7 +138,7 @@ def node_bsdf_metallic(converter: Converter, node: Any) -> Records:
     else:
         converter.color(record, "base_color", converter.reader.value(node.inputs["Base Color"]))
         record["specular_tint"] = converter.reader.constant(node.inputs["Edge Tint"])
-    converter.scalar(record, "roughness", converter.reader.value(node.inputs["Roughness"]))
+    converter.roughness(record, node.inputs["Roughness"])
     converter.normal(record, node)
     return record
 

@@ -113,6 +113,12 @@ def glowing_through(record: Records, share: float) -> Tree:
     return out
 
 
+def glowing(record: Records, radiance: float) -> Records:
+    """The material, that emits so much at most."""
+    record["emission"], record["unsure_emission"] = radiance, radiance > 0
+    return record
+
+
 def black() -> Records:
     record = default_material()
     record["shader"] = Shader.EMISSION

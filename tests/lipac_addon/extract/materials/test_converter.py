@@ -333,15 +333,13 @@ def test_rays_and_sides_are_told_apart() -> None:
     assert [float(part["alpha"]) for part in record[1:]] == [0, 1]
 
 
-@pytest.mark.parametrize("kind", ["TexNoise", "VertexColor", "ObjectInfo", "CameraData"])
+@pytest.mark.parametrize("kind", ["TexNoise", "ParticleInfo", "ObjectInfo", "CameraData"])
 def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
     """A share, an alpha or a transmission by what the tracer does not evaluate: a half, marked as unsure, and reported;
     other inputs are not."""
     t = Tree()
     source = t.new(f"ShaderNode{kind}").outputs
-    value = (
-        next(s for s in source if s.type == "VALUE" and s.name not in {"Alpha"}) if kind != "VertexColor" else source[0]
-    )
+    value = next(s for s in source if s.type == "VALUE" and s.name not in {"Alpha"})
     clear = t.new("ShaderNodeBsdfTransparent")
     for factor in (value, t.new("ShaderNodeMath", {0: value, 1: 0.1}, operation="MULTIPLY").outputs[0]):
         (head, *parts), _, lines = t.parts(
@@ -354,7 +352,7 @@ def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
     for socket, field in (("Alpha", "alpha"), ("Transmission Weight", "transmission")):
         (record,), _, _ = t.parts(t.new("ShaderNodeBsdfPrincipled", {socket: value}))
         assert (record[field], record["unsure"]) == (0.5, 3 if field == "alpha" else Unsure.BEHIND)
-    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Roughness": value}))
+    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Metallic": value}))
     assert (record["unsure"], len(lines)) == (0, 1)
 
 
@@ -418,6 +416,60 @@ def test_alpha_of_an_image_elsewhere_is_not_known() -> None:
         node = t.new("ShaderNodeTexImage", {"Vector": output}, image=image(random_pixels()))
         (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Alpha": node.outputs["Alpha"]}))
         assert (record["unsure"], bool(lines), record["alpha_texture"] >= 0) == (3 * (not known), not known, known)
+
+
+@pytest.mark.parametrize(
+    ("kind", "inputs", "glow"),
+    [
+        ("VolumePrincipled", {"Emission Strength": 3.0, "Emission Color": (1, 0.5, 0, 1)}, 3.0),
+        ("VolumePrincipled", {"Blackbody Intensity": 0.1}, 10.0),
+        ("VolumePrincipled", {}, 0.0),
+        ("Emission", {"Strength": 4.0, "Color": (0.5, 0, 0, 1)}, 2.0),
+        ("VolumeScatter", {}, 0.0),
+    ],
+)
+@pytest.mark.parametrize("surface", [False, True])
+def test_what_glows_within_lights_what_is_around(kind: str, inputs: dict[str, Any], glow: float, surface: bool) -> None:
+    """A volume's emission, of a metre, is seen by half of the paths, and marked as unsure: alone, and in a surface."""
+    t = Tree()
+    t.tree.links.new(t.new(f"ShaderNode{kind}", inputs).outputs[0], t.output.inputs["Volume"])
+    records, _, _ = t.parts(t.new("ShaderNodeBsdfGlass") if surface else None)
+    if surface and not glow:
+        assert [int(r["shader"]) for r in records] == [Shader.GLASS]
+        return
+    _, first, within = records
+    assert first["shader"] == (Shader.GLASS if surface else Shader.TRANSPARENT)
+    np.testing.assert_allclose(within["emission"], 2 * glow)
+    assert (within["unsure_emission"], first["emission"].any()) == (glow > 0, False)
+
+
+@pytest.mark.parametrize("same", [False, True])
+def test_the_colour_of_objects(same: bool) -> None:
+    """That of those that show the material, or their mean, which is said; others do not count."""
+    t = Tree()
+    info = t.new("ShaderNodeObjectInfo").outputs
+    for k, color in enumerate(((0.1, 0.2, 0.3, 1), (0.3, 0.4, 0.5, 0), (1, 1, 1, 0.5))):
+        ob = add(f"{k}", cube(f"{k}"))
+        ob.color = (0.1, 0.2, 0.3, 1) if same and k < 2 else color
+        if k < 2:
+            ob.data.materials.append(t.material)
+    inputs = {"Base Color": info["Color"], "Alpha": info["Alpha"]}
+    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", inputs))
+    np.testing.assert_allclose(record["base_color"], (0.1, 0.2, 0.3) if same else (0.2, 0.3, 0.4), rtol=1e-6)
+    assert (record["alpha"], record["unsure"], bool(lines)) == ((1, 0, False) if same else (0.5, 3, True))
+
+
+@pytest.mark.parametrize("kind", ["Principled", "Glossy", "Metallic", "Glass"])
+def test_a_roughness_that_is_not_known_is_any(kind: str) -> None:
+    """Half as sharp as it may be, half as rough."""
+    t = Tree()
+    noise = t.new("ShaderNodeTexNoise").outputs[0]
+    ramp = t.new("ShaderNodeMapRange", {0: noise, 3: 0.1, 4: 0.6}).outputs[0]
+    (head, sharp, rough), _, _ = t.parts(t.new(f"ShaderNodeBsdf{kind}", {"Roughness": ramp}))
+    np.testing.assert_allclose((head["alpha"], sharp["roughness"], rough["roughness"]), (0.5, 0.1, 0.6))
+    (record,), _, lines = t.parts(t.new(f"ShaderNodeBsdf{kind}", {"Roughness": 0.3}))
+    np.testing.assert_allclose(record["roughness"], 0.3)
+    assert not lines
 
 
 def test_a_volume_alone_lets_light_pass() -> None:
