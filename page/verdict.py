@@ -64,10 +64,10 @@ def _judged(report: dict[str, Any], measured: tuple[float, float] | None) -> Ver
             (_where(broken), "Render again with --enforce, or with a smaller --max-error."),
         )
     if len(certified) < len(frames) or any(_above(frame, bound, "certified") for frame in certified):
-        known = "For at least one frame the analysis could not show that the change is within the budget."
+        known = "For at least one frame the analysis could not show that the change stays within the budget."
         return Verdict(
             BAD if not verified else FAIR,
-            "Not surely within the error budget",
+            "Not certain to be within the error budget",
             (known, *_compared(verified, frames, bound, measured)),
         )
     shot = any("needed" in frame for frame in frames)
@@ -78,11 +78,11 @@ def _judged(report: dict[str, Any], measured: tuple[float, float] | None) -> Ver
 
 
 def _without_budget(verified: list[dict[str, Any]]) -> Verdict:
-    known = "What was kept was not chosen by an error budget, so nothing is certified."
+    known = "What stays was not chosen by an error budget, so nothing is certified."
     more = (
         "The change was measured in parts of the picture."
         if verified
-        else "By how much the picture changes is not known: --verify measures it."
+        else "How much the picture changes is not known: --verify measures it."
     )
     return Verdict(FAIR, "Culled without an error budget", (known, more))
 
@@ -96,18 +96,18 @@ def _compared(
     """How the renderer's pictures stand to the bounds."""
     if measured is not None:
         found = f"{percent(measured[0])} in the mean and {percent(measured[1])} in the worst tile"
-        said = f"The renderer was asked, too: its pictures with everything and culled differ by {found}"
+        said = f"Checked by rendering: the full picture and the culled one differ by {found}"
         if measured[0] <= bound["mean"] and measured[1] <= bound["worst"]:
-            return (f"{said}, which is less than was allowed.",)
-        return (f"{said}, which is more than was allowed; noise may be a part of that, and more samples would tell.",)
+            return (f"{said}, less than was allowed.",)
+        return (f"{said}, more than was allowed; part of that may be noise, which more samples would show.",)
     if not verified:
-        return ("This is what the analysis states by its own light paths. The renderer was not asked: --verify does.",)
+        return ("Certified by the analysis, with its own light paths. Not checked by rendering: --verify does that.",)
     of = f"{len(verified)} of {len(frames)} frames" if len(frames) > 1 else "the frame"
-    said = f"The renderer was asked, too: parts of {of}, drawn by chance, were rendered with everything and culled."
+    said = f"Checked by rendering: parts of {of}, chosen at random, were rendered in full and culled."
     if all(frame[f"verified_{what}"] <= bound[what] for frame in verified for what in ("mean", "worst")):
         return (f"{said} They differ by less than was allowed.",)
     return (
-        f"{said} They differ by more than was allowed, but by no more than noise may make: more samples would tell.",
+        f"{said} They differ by more than was allowed, but noise alone may account for it: more samples would show.",
     )
 
 
@@ -117,4 +117,4 @@ def _above(frame: dict[str, Any], bound: dict[str, float], what: str) -> bool:
 
 def _where(frames: list[int]) -> str:
     some = ", ".join(map(str, frames[:8])) + (f" and {len(frames) - 8} more" if len(frames) > 8 else "")
-    return f"A verification found that in frame {some}, beyond what noise may make."
+    return f"Verification found this in frame {some}; noise cannot account for it."
