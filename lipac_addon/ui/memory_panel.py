@@ -81,7 +81,7 @@ class LIPAC_PT_memory(Child, bpy.types.Panel):
             line.label(text=size(row.bytes))
         if len(rows) > ROWS:
             rest = sum(row.bytes for row in rows[ROWS:] if row.kind == "object")
-            column.label(text=f"{len(rows) - ROWS:,} more, objects {size(rest)} together")
+            column.label(text=f"{len(rows) - ROWS:,} more; the objects take {size(rest)}")
 
 
 _CLASSES = (LIPAC_OT_select_memory, LIPAC_PT_memory)

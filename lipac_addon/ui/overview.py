@@ -12,7 +12,10 @@ from .operators import LIPAC_OT_cancel, LIPAC_OT_restore
 
 def draw_overview(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """What came of it, before all settings."""
-    write(layout, verdict.verdict(scene), icon="CHECKMARK" if scene.lipac.applied else "INFO")
+    first, *rest = verdict.verdict(scene)
+    write(layout, first, icon="CHECKMARK" if scene.lipac.applied else "INFO")
+    for text in rest:
+        write(layout, text, icon="BLANK1")
     line, alert = verdict.status(scene)
     write(layout, line, alert)
     for warning in verdict.warnings(scene):

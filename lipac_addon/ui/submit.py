@@ -34,7 +34,7 @@ class LIPAC_OT_submit_shot(Explained, bpy.types.Operator):
     )
     chunk: IntProperty(  # type: ignore[valid-type]
         name="Frames to a task",
-        description="So many frames are analysed or rendered by a machine at a time",
+        description="So many frames are analyzed or rendered by a machine at a time",
         default=10,
         min=1,
     )

@@ -42,15 +42,15 @@ def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
         ("Instances", f"{total:,}"),
         ("Active", f"{active:,} ({100 * active / max(total, 1):.1f} %)"),
         *([("Pending", f"{int(stats['pending']):,}")] if stats["pending"] else []),
-        ("Hitboxes", f"{int(stats['hitboxes']):,}"),
-        ("Memory of the active", size(stats["blas_bytes"] + stats["tlas_bytes"])),
+        ("Stand-in boxes", f"{int(stats['hitboxes']):,}"),
+        ("BVH memory", size(stats["blas_bytes"] + stats["tlas_bytes"])),
     ]
     for name, label in (
         ("predicted", "Change, predicted"),
         ("certified", "Change, at most"),
-        ("unknown", "Light not known"),
+        ("unknown", "Unknown light"),
     ):
-        if name + "_mean" in stats:
+        if name + "_mean" in stats and not (name == "predicted" and "certified_mean" in stats):
             rows.append((label, change(stats[f"{name}_mean"], stats[f"{name}_worst"])))
     return rows
 

@@ -9,25 +9,26 @@ from ..state import applying, results
 MOST = 3  # warnings that are shown at once; Results has all
 
 
-def verdict(scene: bpy.types.Scene) -> str:
-    """What is kept of the current frame, what that saves and how much it may change; what is not known is said."""
+def verdict(scene: bpy.types.Scene) -> list[str]:
+    """What is kept of the current frame, how much that changes and what it saves, a line each; what is not known is
+    said."""
     result = results.at(scene)
     if result is None:
         found = results.of(scene)
-        return f"Frame {scene.frame_current} is not analyzed" if found else "Nothing is analyzed in this session"
+        return [f"Frame {scene.frame_current} is not analyzed" if found else "Nothing is analyzed in this session"]
     total = len(result.state)
-    kept = f"Keeps {total - int(result.culled.sum()):,} of {total:,} instances"
+    said = [f"Keeps {total - int(result.culled.sum()):,} of {total:,} instances"]
     stats = result.stats
     if "certified_mean" in stats:
-        change = f"the picture changes by {100 * stats['certified_mean']:.2f} % at most, any tile by "
-        change += f"{100 * stats['certified_worst']:.2g} % (95 % confidence)"
+        mean, worst = (100 * stats[f"certified_{what}"] for what in ("mean", "worst"))
+        said.append(f"Changes the picture by at most {mean:.2f} %, any tile by {worst:.2g} % (95 % confidence)")
     else:
-        change = "by how much the picture changes is not certified"
+        said.append("How much the picture changes is not certified")
     measured = results.differences.get((scene.session_uid, result.frame))
-    if measured is None:
-        return f"{kept}; {change}"
-    (full_s, culled_s), _ = measured.seconds, measured.peak_bytes
-    return f"{kept}; renders in {culled_s:.1f} instead of {full_s:.1f} s; {change}"
+    if measured is not None:
+        full_s, culled_s = measured.seconds
+        said.append(f"Renders in {culled_s:.1f} s instead of {full_s:.1f} s")
+    return said
 
 
 def warnings(scene: bpy.types.Scene) -> list[str]:

@@ -53,16 +53,16 @@ class LipacPreferences(bpy.types.AddonPreferences):
         max=1024,
     )
     memory: FloatProperty(  # type: ignore[valid-type]
-        name="Memory budget",
+        name="Memory Budget",
         description=(
-            "GiB that acceleration structures of an analysis may take; what is worth least goes first. 0: no limit"
+            "GiB that an analysis may take for acceleration structures; what is worth least goes first. 0: no limit"
         ),
         default=DEFAULTS.memory,
         min=0.0,
         soft_max=64.0,
     )
     cache: StringProperty(  # type: ignore[valid-type]
-        name="Cache folder",
+        name="Cache Folder",
         description=(
             "Where compiled kernels are kept. Empty: the extension's own folder. Takes effect when Blender starts again"
         ),
@@ -70,12 +70,12 @@ class LipacPreferences(bpy.types.AddonPreferences):
         default=DEFAULTS.cache,
     )
     max_error: percentage(  # type: ignore[valid-type]
-        "Error budget",
-        "Error budget of scenes that do not set their own: how much tiles of the picture may change, in the mean",
+        "Error Budget",
+        "Error budget of scenes that do not set their own: the mean change of the picture's tiles",
         DEFAULTS.max_error,
     )
     worst_error: percentage(  # type: ignore[valid-type]
-        "Worst tile", "The same for any one tile of the picture (a 16th of its width)", DEFAULTS.worst_error
+        "Worst Tile", "The same for any one tile of the picture (a 16th of its width)", DEFAULTS.worst_error
     )
 
     def draw(self, _context: bpy.types.Context) -> None:

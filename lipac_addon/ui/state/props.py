@@ -56,23 +56,23 @@ class LipacSettings(bpy.types.PropertyGroup):
         items=[(policy.name, policy.label, policy.description, "NONE", policy.rank) for policy in _OFFERED],
     )
     max_error: preferences.percentage(  # type: ignore[valid-type]
-        "Error budget",
-        "Bound of the relative change of the picture's 16 x 9 tiles, in the mean. Less keeps more",
+        "Error Budget",
+        "Largest change of the picture that you allow: the mean over its 16 x 9 tiles. Less keeps more instances",
         preferences.DEFAULTS.max_error,
         get_transform=_preferred("max_error"),
     )
     worst_error: preferences.percentage(  # type: ignore[valid-type]
-        "Worst tile",
-        "The same bound of any one tile (a 16th of the picture's width)",
+        "Worst Tile",
+        "Largest change that you allow in any one tile (a 16th of the picture's width)",
         preferences.DEFAULTS.worst_error,
         get_transform=_preferred("worst_error"),
     )
     frames: EnumProperty(  # type: ignore[valid-type]
         name="Frames",
-        description="Which frames to analyse; a render is culled only at frames that were",
+        description="Which frames to analyze; a render is culled only at frames that were",
         items=(
-            (CURRENT, "Current frame", "Analyse the current frame"),
-            (RANGE, "Frame range", "Analyse each frame of the scene's range, with its step"),
+            (CURRENT, "Current Frame", "Analyze the current frame"),
+            (RANGE, "Frame Range", "Analyze each frame of the scene's range, with its step"),
         ),
     )
     paths: IntProperty(  # type: ignore[valid-type]
@@ -95,12 +95,12 @@ class LipacSettings(bpy.types.PropertyGroup):
     )
     seed: IntProperty(  # type: ignore[valid-type]
         name="Seed",
-        description="Seed of the analysis' random numbers; the same seed decides the same",
+        description="Seed of the random numbers; the same seed gives the same result",
         default=0,
         min=0,
     )
     use_for_renders: BoolProperty(  # type: ignore[valid-type]
-        name="Use for renders",
+        name="Use for Renders",
         description=(
             "Cull during renders and animations, and put everything back afterwards. Locks the interface while "
             "rendering"
@@ -110,13 +110,13 @@ class LipacSettings(bpy.types.PropertyGroup):
     cull_viewport: BoolProperty(  # type: ignore[valid-type]
         name="Cull Viewport",
         description=(
-            "While Live is on, viewports in Rendered shading that look through the camera go without what is culled. "
-            "Renders show it, and the file keeps it"
+            "While Live is on, viewports in Rendered shading that look through the camera do not show what is "
+            "culled. Renders do, and the file keeps it"
         ),
         update=_redraw,
     )
     show_overlay: BoolProperty(  # type: ignore[valid-type]
-        name="Overlay", description="Draw the analysed instances as boxes in the viewport", update=_redraw
+        name="Overlay", description="Draw the analyzed instances as boxes in the viewport", update=_redraw
     )
     show_active: BoolProperty(name="Active", description="Boxes of instances that stay", default=True, update=_redraw)  # type: ignore[valid-type]
     show_pending: BoolProperty(  # type: ignore[valid-type]
@@ -125,28 +125,28 @@ class LipacSettings(bpy.types.PropertyGroup):
         default=True,
         update=_redraw,
     )
-    show_culled: BoolProperty(name="Culled", description=("Boxes of instances that go, one by one"), update=_redraw)  # type: ignore[valid-type]
+    show_culled: BoolProperty(name="Culled", description="Boxes of single culled instances", update=_redraw)  # type: ignore[valid-type]
     show_regions: BoolProperty(  # type: ignore[valid-type]
         name="Regions", description="Boxes that stand in for what is culled", default=True, update=_redraw
     )
     heat_map: BoolProperty(  # type: ignore[valid-type]
         name="Heat Map",
         description=(
-            "Colour instances by how many light paths meet them, from dark (none) to bright (most), not by state"
+            "Color instances by how many light paths meet them, from dark (none) to bright (most), not by state"
         ),
         update=_redraw,
     )
     show_tiles: BoolProperty(  # type: ignore[valid-type]
         name="Worst Tiles",
         description=(
-            "In the view through the camera: by how much each of the picture's 16 x 9 tiles changes at most, the "
-            "brightest the most, and the figures of the worst"
+            "In the camera view: how much each of the picture's 16 x 9 tiles changes at most, brighter for more, "
+            "with the figures of the worst"
         ),
         update=_redraw,
     )
     show_memory: BoolProperty(  # type: ignore[valid-type]
         name="Memory List",
-        description="In the view through the camera: which objects and images take how much memory of a render",
+        description="In the camera view: the objects and images that take most of the memory of a render",
         update=_redraw,
     )
     opacity: FloatProperty(  # type: ignore[valid-type]
@@ -158,10 +158,12 @@ class LipacSettings(bpy.types.PropertyGroup):
         max=1.0,
         update=_redraw,
     )
-    in_front: BoolProperty(name="In Front", description=("Draw boxes also where geometry hides them"), update=_redraw)  # type: ignore[valid-type]
+    in_front: BoolProperty(  # type: ignore[valid-type]
+        name="In Front", description="Draw boxes in front of the geometry that hides them", update=_redraw
+    )
     freeze: BoolProperty(  # type: ignore[valid-type]
         name="Freeze",
-        description="Keep showing these boxes while you fly around, change frames and analyse again",
+        description="Keep showing these boxes while you fly around, change frames and analyze again",
         update=_freeze,
     )
     applied: BoolProperty(  # type: ignore[valid-type]

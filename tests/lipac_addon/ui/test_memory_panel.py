@@ -47,7 +47,7 @@ def test_the_largest_first(textured, drawn):
 def test_more_than_the_list_shows(textured, drawn, monkeypatch):
     monkeypatch.setattr(memory_panel, "ROWS", 2)
     bpy.ops.lipac.analyze()
-    assert "more, objects" in drawn(LIPAC_PT_memory)
+    assert "more; the objects take" in drawn(LIPAC_PT_memory)
 
 
 def test_a_click_selects(textured):

@@ -8,17 +8,18 @@ from lipac.lipac_addon.ui.state.results import Difference
 
 
 def test_what_is_kept_certified_and_saved(scene):
-    assert verdict.verdict(scene) == "Nothing is analyzed in this session"
+    assert verdict.verdict(scene) == ["Nothing is analyzed in this session"]
     bpy.ops.lipac.analyze()
-    line = "Keeps 6 of 10 instances; by how much the picture changes is not certified"
-    assert verdict.verdict(scene) == line  # by distance: nothing measures it
+    kept = "Keeps 6 of 10 instances"
+    unknown = "How much the picture changes is not certified"  # by distance: nothing measures it
+    assert verdict.verdict(scene) == [kept, unknown]
     results.at(scene).stats.update(certified_mean=0.0051, certified_worst=0.031)
-    change = "the picture changes by 0.51 % at most, any tile by 3.1 % (95 % confidence)"
-    assert verdict.verdict(scene) == f"Keeps 6 of 10 instances; {change}"
+    change = "Changes the picture by at most 0.51 %, any tile by 3.1 % (95 % confidence)"
+    assert verdict.verdict(scene) == [kept, change]
     results.differences[scene.session_uid, 1] = Difference((8.0, 2.5), (2, 1), 0.1, 0.2)
-    assert verdict.verdict(scene) == f"Keeps 6 of 10 instances; renders in 2.5 instead of 8.0 s; {change}"
+    assert verdict.verdict(scene) == [kept, change, "Renders in 2.5 s instead of 8.0 s"]
     scene.frame_set(7)
-    assert verdict.verdict(scene) == "Frame 7 is not analyzed"
+    assert verdict.verdict(scene) == ["Frame 7 is not analyzed"]
 
 
 def test_the_first_warnings_and_how_many_more(analyzed):
