@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.files.report import size
+from ..core.files.report import percent, size
 from ..core.progress import clock
 
 if TYPE_CHECKING:
@@ -22,11 +22,6 @@ LIBRARIES = ("jinja2", "matplotlib", "PIL")
 def missing() -> list[str]:
     """Libraries that pages are made with and that this Python lacks, as Blender's own does."""
     return [name for name in LIBRARIES if find_spec(name) is None]
-
-
-def percent(share: float) -> str:
-    """A share, as per cent."""
-    return f"{100 * share:.2g} %"
 
 
 def times(ratio: float) -> str:

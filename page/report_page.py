@@ -150,7 +150,7 @@ def saving(report: dict[str, Any], full: dict[str, Any]) -> str:
             ratio = theirs[name] / ours[name]
             said.append(f"{what} {f'is {times(ratio)} as fast' if ratio >= 1 else f'takes {times(1 / ratio)} as long'}")
     if ours["peak_bytes"] and theirs["peak_bytes"]:
-        said.append(f"memory is {percent(ours['peak_bytes'] / theirs['peak_bytes'])} of that for everything")
+        said.append(f"peak memory is {percent(ours['peak_bytes'] / theirs['peak_bytes'])} of that of the full render")
     return "; ".join(said) + "." if said else ""
 
 

@@ -267,7 +267,7 @@ class Report:
             if found:
                 mean, worst = (max(f[f"{kind}_{what}"] for f in found) for what in ("mean", "worst"))
                 out.append(
-                    f"{text}: {100 * mean:.2g} % in the mean, {100 * worst:.2g} % in the worst tile"
+                    f"{text}: {percent(mean)} in the mean, {percent(worst)} in the worst tile"
                     + (" (of all frames)" if len(found) > 1 else "")
                 )
         return out
@@ -377,6 +377,11 @@ def keep_beside(path: Path) -> None:
         if not os.path.lexists(other):
             os.rename(path, other)
             return
+
+
+def percent(share: float) -> str:
+    """A share in per cent as people read it, by two digits or more: 0.051 %, 4.4 %, 140 %."""
+    return f"{100 * share:.2g} %" if abs(100 * share) < 99.5 else f"{100 * share:,.0f} %"
 
 
 def size(count: float) -> str:

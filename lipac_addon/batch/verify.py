@@ -24,6 +24,7 @@ from ...core.culling.options import CullOptions
 from ...core.error_budget.budget import Budget
 from ...core.feedback.picture_change import WIDTH, change_of
 from ...core.feedback.tiles import BLOCK, COLUMNS, ROWS
+from ...core.files.report import percent
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import Scene
 from .. import writeback
@@ -85,9 +86,9 @@ class Verified:
     def warning(self, budget: Budget) -> str:
         """What to tell where it is."""
         return (
-            f"verified: the picture changes by {100 * self.mean:.2g} % in the mean, {100 * self.worst:.2g} % in the "
+            f"verified: the picture changes by {percent(self.mean)} in the mean, {percent(self.worst)} in the "
             "worst tile, which is more than the "
-            f"{100 * budget.mean:.2g} % and {100 * budget.worst:.2g} % that --max-error allows; --enforce repeats the "
+            f"{percent(budget.mean)} and {percent(budget.worst)} that --max-error allows; --enforce repeats the "
             "analysis until it is not"
         )
 

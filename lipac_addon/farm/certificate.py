@@ -8,6 +8,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files.atomic import replacing, sweep
+from ...core.files.report import percent
 from ...page.html import missing
 from ...version import __version__
 from .analyse import note_of
@@ -137,7 +138,7 @@ def at_most(failed: int, of: int) -> float:
 def verdict(found: dict[str, Any]) -> str:
     """A line about a frame of the sample."""
     tried = [
-        f"{100 * one['verified_mean']:.2g} % in the mean, {100 * one['verified_worst']:.2g} % in the worst tile"
+        f"{percent(one['verified_mean'])} in the mean, {percent(one['verified_worst'])} in the worst tile"
         for one in found["attempts"]
     ]
     first, last = found["attempts"][0], found["attempts"][-1]
@@ -162,16 +163,16 @@ def standing(attempt: dict[str, Any], bounds: list[float]) -> str:
 def statement(certificate: dict[str, Any]) -> list[str]:
     """What the certificate says, and what it does not, in sentences."""
     frames, n, failed = certificate["frames"], certificate["verified"], certificate["failed"]
-    mean, worst = (100 * bound for bound in certificate["max_error"])
+    mean, worst = map(percent, certificate["max_error"])
     attempts = [frame["verified"]["attempts"][-1] for frame in frames if frame["verified"]]
     change, most = fmean(a["verified_mean"] for a in attempts), max(a["verified_worst"] for a in attempts)
-    found = f"{100 * change:.2g} % in the mean over the sample, {100 * most:.2g} % in its worst tile"
+    found = f"{percent(change)} in the mean over the sample, {percent(most)} in its worst tile"
     out = [
         f"{certificate['active']:,} of {certificate['instances']:,} instances are in the pictures of all {len(frames)} "
         "frames.",
         f"{n} frames were verified: a random part of each was rendered in full and culled by the Blender that renders. "
         f"As delivered they differ by {found}; "
-        f"{mean:.2g} % and {worst:.2g} % are allowed. Noise of the renders counts as difference, and a frame fails "
+        f"{mean} and {worst} are allowed. Noise of the renders counts as difference, and a frame fails "
         "where the difference is above a bound by "
         "more than noise can be.",
     ]

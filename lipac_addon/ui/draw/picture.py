@@ -11,6 +11,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
+from ....core.files.report import percent
 from .boxes import HEAT
 from .figures import size
 
@@ -72,7 +73,7 @@ def draw_tiles(tiles: F32, frame: Frame, scale: float = 1.0) -> None:
     for k in np.argsort(-np.nan_to_num(tiles))[:WORST]:
         if tiles[k] > 0:
             blf.position(0, x[column[k]] + 3 * scale, y[row[k]] + 4 * scale, 0)
-            blf.draw(0, f"{100 * tiles[k]:.2g} %")
+            blf.draw(0, f"{percent(tiles[k])}")
     gpu.state.blend_set("NONE")
 
 

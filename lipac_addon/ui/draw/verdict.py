@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ....core.files.report import percent
 from ..state import applying, results
 
 MOST = 3  # warnings that are shown at once; Results has all
@@ -20,8 +21,8 @@ def verdict(scene: bpy.types.Scene) -> list[str]:
     said = [f"Keeps {total - int(result.culled.sum()):,} of {total:,} instances"]
     stats = result.stats
     if "certified_mean" in stats:
-        mean, worst = (100 * stats[f"certified_{what}"] for what in ("mean", "worst"))
-        said.append(f"Changes the picture by at most {mean:.2f} %, any tile by {worst:.2g} % (95 % confidence)")
+        mean, worst = (percent(stats[f"certified_{what}"]) for what in ("mean", "worst"))
+        said.append(f"Changes the picture by at most {mean}, any tile by {worst} (95 % confidence)")
     else:
         said.append("How much the picture changes is not certified")
     measured = results.differences.get((scene.session_uid, result.frame))

@@ -13,7 +13,7 @@ import pytest
 from lipac.core.errors import InputError
 from lipac.core.files.atomic import replacing
 from lipac.core.files.level import Level
-from lipac.core.files.report import FIELDS, Report, load_states, output_folder, save_states, size
+from lipac.core.files.report import FIELDS, Report, load_states, output_folder, percent, save_states, size
 from lipac.lipac_addon.keys import KEY, MAX_DEPTH
 
 
@@ -240,3 +240,8 @@ def test_seconds_of_parts_are_summed_once(tmp_path):
             r.add_frame({"frame": frame})
             r.write(tmp_path)
     assert 100.0 <= json.loads((tmp_path / "report.json").read_text())["totals"]["wall_s"] < 105.0
+
+
+def test_shares_have_no_exponents() -> None:
+    shares = (0.00051, 0.044, 0.994, 0.996, 1.42, 12.5)
+    assert [percent(share) for share in shares] == ["0.051 %", "4.4 %", "99 %", "100 %", "142 %", "1,250 %"]
