@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.files.report import percent, size
+from ..core.files.figures import percent, size
 from ..core.progress import clock
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from ..arrays import F32, F64, I32, I64, U8, Records
 from ..errors import InputError
 from ..progress import clock
 from .atomic import alone, check_writable, replacing
+from .figures import percent, size
 from .level import Level, level_arrays, read_levels
 from .memory_table import MemoryRow, merged, read_rows, write_rows
 from .usage import peak_memory
@@ -377,20 +378,6 @@ def keep_beside(path: Path) -> None:
         if not os.path.lexists(other):
             os.rename(path, other)
             return
-
-
-def percent(share: float) -> str:
-    """A share in per cent as people read it, by two digits or more: 0.051 %, 4.4 %, 140 %."""
-    return f"{100 * share:.2g} %" if abs(100 * share) < 99.5 else f"{100 * share:,.0f} %"
-
-
-def size(count: float) -> str:
-    """Bytes as people read them."""
-    for unit in ("B", "kB", "MB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}" if unit != "B" else f"{count:.0f} B"
-        count /= 1000
-    return f"{count:.3g} GB"
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:

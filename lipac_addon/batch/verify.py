@@ -24,7 +24,7 @@ from ...core.culling.options import CullOptions
 from ...core.error_budget.budget import Budget
 from ...core.feedback.picture_change import WIDTH, change_of
 from ...core.feedback.tiles import BLOCK, COLUMNS, ROWS
-from ...core.files.report import percent
+from ...core.files.figures import percent
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import Scene
 from .. import writeback

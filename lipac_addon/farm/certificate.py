@@ -8,7 +8,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files.atomic import replacing, sweep
-from ...core.files.report import percent
+from ...core.files.figures import percent
 from ...page.html import missing
 from ...version import __version__
 from .analyse import note_of

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ...core.culling.options import CullOptions
-from ...core.files.report import size
+from ...core.files.figures import size
 from ...core.scene.model import Film
 from ...core.scene.render_costs import Stakes
 from ...core.threads import processors

@@ -81,7 +81,7 @@ def done(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> int
     import sys
 
     from ...core.errors import InputError
-    from ...core.files.report import size
+    from ...core.files.figures import size
     from ...core.progress import part
     from ...lipac_addon.farm import analyse, certificate, children, unite, verify
     from ...lipac_addon.farm.jobs import pack

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.files.atomic import replacing
-from ...core.files.report import size
+from ...core.files.figures import size
 from .compare import markdown
 from .machine import made_by
 

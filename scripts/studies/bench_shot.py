@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.files.report import size
+from ...core.files.figures import size
 from ..command.arguments import frame_range, resolution
 from .machine import made_by
 

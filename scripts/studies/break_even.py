@@ -17,7 +17,7 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...core.files.report import size
+from ...core.files.figures import size
 from . import compare
 from .compare import CULLED, FULL, cores, markdown
 from .machine import stamp

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.errors import InputError
-from ...core.files.report import size
+from ...core.files.figures import size
 from ...core.threads import processors
 
 FULL, OTHER_SEED, CULLED = "full", "other-seed", "culled"

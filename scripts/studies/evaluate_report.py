@@ -12,7 +12,7 @@ import numpy as np
 from ...core.culling.policies import RULES
 from ...core.evaluation.evaluate import BUDGETS, COUNTS, ORACLE, OURS, RANDOM, Evaluation
 from ...core.files.atomic import replacing
-from ...core.files.report import size
+from ...core.files.figures import size
 from ...page.curves import svg_of
 from ...page.html import Figures, render
 from ...page.pictures import embed, opened

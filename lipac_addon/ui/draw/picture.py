@@ -11,7 +11,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-from ....core.files.report import percent
+from ....core.files.figures import percent
 from .boxes import HEAT
 from .figures import size
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ....core.files.report import percent
+from ....core.files.figures import percent
 from ..state import applying, results
 
 MOST = 3  # warnings that are shown at once; Results has all

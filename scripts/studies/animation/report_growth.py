@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ....core.files.report import size
+from ....core.files.figures import size
 from ..compare import markdown
 from .figures import COLORS, PICTURES, STEADY, Part, Row, figure, percent
 

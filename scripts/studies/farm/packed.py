@@ -12,7 +12,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ....core.files.report import size
+from ....core.files.figures import size
 from ....lipac_addon.console import muted
 from ....lipac_addon.demo import textures
 from ....lipac_addon.farm import analyse, unite

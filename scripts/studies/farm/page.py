@@ -17,7 +17,7 @@ from statistics import fmean
 from typing import Any
 
 from ....core.files.atomic import replacing
-from ....core.files.report import size
+from ....core.files.figures import size
 from ....core.progress import clock
 from ....lipac_addon.farm.analyse import note_of
 from ....lipac_addon.farm.layout import FarmShot, read_json, write_json

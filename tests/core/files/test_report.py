@@ -12,8 +12,9 @@ import pytest
 
 from lipac.core.errors import InputError
 from lipac.core.files.atomic import replacing
+from lipac.core.files.figures import percent, size
 from lipac.core.files.level import Level
-from lipac.core.files.report import FIELDS, Report, load_states, output_folder, percent, save_states, size
+from lipac.core.files.report import FIELDS, Report, load_states, output_folder, save_states
 from lipac.lipac_addon.keys import KEY, MAX_DEPTH
 
 
