@@ -6,9 +6,9 @@ camera. So points on each small emitter are connected to the camera, as light tr
 not depend on how small or how bright an emitter is.
 
 Erring on the side of seeing more: what is not surely opaque is looked through without loss, what is not built stands in
-nothing's way, and a textured emitter is as bright as its strength. Not modelled: an emitter out of focus, or that the
-camera's motion blurs, counts where the sharp picture has it, and what emits without being sampled as a light is left to
-paths.
+nothing's way, and a textured emitter is as bright as its strength. Where one instance alone hides a point, it has what
+the point would bring: so much more the camera sees without it. Not modelled: an emitter that the camera's motion blurs
+counts where the sharp picture has it, and what emits without being sampled as a light is left to paths.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from ..arrays import F64, I32, I64
 from ..feedback.tiles import COLUMNS, ROWS, TILES, tiles_of
 from ..jit.pointers import f32_pointer, load_f32, load_i32, load_i64, load_u8, load_u32, offset
 from ..jit.sampling import INNER, OPTIONS, normalize, path_key, uniform2
+from ..scene.camera import aperture_point
 from ..scene.frustum import View
 from ..scene.model import RayType, Scene, Shader, Unsure
 from .lights.environment import find_interval
@@ -52,14 +53,16 @@ _BEYOND = np.float32(1 + 1e-5)  # times the distance of a surface that is looked
 _CAMERA = int(RayType.CAMERA)
 _EMITTER_SIZE = np.uint64(EMITTER.itemsize)
 _FIRST, _COUNT = offset(EMITTER, "first"), offset(EMITTER, "count")
+_NOTHING, _SEVERAL = -1, -2
 _ONE, _ZERO, _HALF, _TINY = np.float32(1.0), np.float32(0.0), np.float32(0.5), np.float32(1e-30)
 
 
 @dataclass(frozen=True)
 class SeenEmitters:
-    """What the camera sees of small emitters.
+    """What the camera sees of small emitters, and what hides of them.
 
-    instance: (S,) int64; tile: (S,) int32; color: (S, 3) float64, an instance's part of the mean radiance of a tile.
+    instance: (S,) int64; tile: (S,) int32; color: (S, 3) float64, what of the mean radiance of a tile the instance
+    brings, or keeps away.
     """
 
     instance: I64
@@ -70,7 +73,7 @@ class SeenEmitters:
         return len(self.instance)
 
     def without(self, keep: np.ndarray) -> F64:
-        """(T, 3) mean radiance that each tile lacks where only keep, (N,) bool, is in the scene."""
+        """(T, 3) mean radiance that each tile lacks, or has besides, where only keep, (N,) bool, is in the scene."""
         lost = ~keep[self.instance]
         return np.stack([np.bincount(self.tile[lost], self.color[lost, c], TILES) for c in range(3)], axis=1)
 
@@ -90,6 +93,7 @@ def seen_emitters(prepared: Prepared, tlas: Tlas, size: tuple[int, int], seed: i
         return NONE_SEEN
     points = int(np.clip(RAYS // len(rows), *POINTS))
     tile, color = np.full((len(rows), points), -1, np.int32), np.zeros((len(rows), points, 3), np.float32)
+    whose = np.repeat(rows.astype(np.int64)[:, None], points, axis=1)
     camera = prepared.camera[len(prepared.camera) // 2]  # of a shutter: the one in its middle
     _see(
         rows,
@@ -105,14 +109,15 @@ def seen_emitters(prepared: Prepared, tlas: Tlas, size: tuple[int, int], seed: i
         seed,
         tile,
         color,
+        whose,
     )
     seen = tile >= 0
-    place = (np.arange(len(rows))[:, None] * TILES + tile)[seen]
+    place = (whose * TILES + tile)[seen]
     named, number = np.unique(place, return_inverse=True)
     pixels = np.bincount(tiles_of(size[1], size[0]).ravel(), minlength=TILES)
     sums = np.stack([np.bincount(number, color[..., c][seen], len(named)) for c in range(3)], axis=1)
     tiles = (named % TILES).astype(np.int32)
-    return SeenEmitters(rows[named // TILES], tiles, sums / np.maximum(pixels, 1)[tiles][:, None])
+    return SeenEmitters((named // TILES).astype(np.int64), tiles, sums / np.maximum(pixels, 1)[tiles][:, None])
 
 
 def polished(scene: Scene) -> bool:
@@ -133,9 +138,10 @@ def _opaque(scene: Scene) -> np.ndarray:
 
 
 @njit(**OPTIONS)
-def _see(rows, table, lights, meshes, tlas, ids, first, opaque, camera, size, seed, tile, color):
+def _see(rows, table, lights, meshes, tlas, ids, first, opaque, camera, size, seed, tile, color, whose):
     """Connect points of the emitters rows, (E,), to the camera: the tile of each, (E, K) int32, where the camera sees
-    it, and what it brings there, (E, K, 3) float32, summed over the tile's pixels. meshes: address of those in the
+    it or one instance hides it, and what it brings there, (E, K, 3) float32, summed over the tile's pixels. whose:
+    (E, K) int64, the emitters, in whose place what hides them is put. meshes: address of those in the
     TLAS, whose entries ids and first tell. opaque: (M,) by material. camera: `camera_constants`."""
     points = tile.shape[1]
     buffer = np.zeros(RAY + 4, np.float32)
@@ -158,7 +164,12 @@ def _see(rows, table, lights, meshes, tlas, ids, first, opaque, camera, size, se
             # normal with twice the area as its length
             nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
             px, py, pz = px + b1 * ux + b2 * vx, py + b1 * uy + b2 * vy, pz + b1 * uz + b2 * vz
-            x, y, ox, oy, oz, pixels = _on_picture(camera, px, py, pz, nx, ny, nz)
+            lx, ly = _ZERO, _ZERO
+            if camera[19] > _ZERO:
+                lx, ly = aperture_point(
+                    camera, *uniform2(path_key(np.uint64(seed), np.uint64(instance), np.uint64(k)), np.uint64(1))
+                )
+            x, y, ox, oy, oz, pixels = _on_picture(camera, lx * camera[19], ly * camera[19], px, py, pz, nx, ny, nz)
             column, row = math.floor(x * size[0]), math.floor(y * size[1])
             if not (pixels > _ZERO and 0 <= column < size[0] and 0 <= row < size[1]):
                 continue
@@ -166,8 +177,11 @@ def _see(rows, table, lights, meshes, tlas, ids, first, opaque, camera, size, se
             material = material_of(table, mesh, instance, triangle)
             if load_u8(material + M_SINGLE_SIDED, 0) != 0 and nx * dx + ny * dy + nz * dz > _ZERO:
                 continue
-            if not _passes(words, ray, table, meshes, tlas, ids, first, opaque, ox, oy, oz, dx, dy, dz, distance):
+            hides = _hides(words, ray, table, meshes, tlas, ids, first, opaque, ox, oy, oz, dx, dy, dz, distance)
+            if hides == _SEVERAL:
                 continue
+            if hides != _NOTHING:
+                whose[e, k] = hides
             tile[e, k] = row * ROWS // size[1] * COLUMNS + column * COLUMNS // size[0]
             pixels *= _HALF * np.float32(size[0] * size[1]) / (max(b - a, _TINY) * np.float32(points))
             for c in range(3):
@@ -176,9 +190,10 @@ def _see(rows, table, lights, meshes, tlas, ids, first, opaque, camera, size, se
 
 
 @njit(**INNER)
-def _on_picture(c, px, py, pz, nx, ny, nz):
-    """Where a camera sees a point, in [0, 1]^2, v upward; the origin of the ray to it, 3 numbers; and the share of the
-    picture that an area takes there, whose normal n is as long as the area is large; 0 behind the camera."""
+def _on_picture(c, lx, ly, px, py, pz, nx, ny, nz):
+    """Where a camera sees a point through (lx, ly) of its lens, metres, in [0, 1]^2, v upward; the origin of the ray to
+    it, 3 numbers; and the share of the picture that an area takes there, whose normal n is as long as the area is
+    large; 0 behind the camera."""
     x, y, z = px - c[3], py - c[7], pz - c[11]
     right = c[0] * x + c[4] * y + c[8] * z
     up = c[1] * x + c[5] * y + c[9] * z
@@ -186,33 +201,38 @@ def _on_picture(c, px, py, pz, nx, ny, nz):
     if not c[17] < depth < c[18]:
         return _ZERO, _ZERO, px, py, pz, _ZERO
     wide, high = c[13] - c[12], c[15] - c[14]
-    if c[16] != _ZERO:  # orthographic: along its axis, from its plane
-        facing = abs(nx * c[2] + ny * c[6] + nz * c[10])
-        ox, oy, oz = px + depth * c[2], py + depth * c[6], pz + depth * c[10]
+    sx, sy = (lx / c[20], ly / c[20]) if c[19] > _ZERO else (_ZERO, _ZERO)  # to where it is in focus
+    if c[16] != _ZERO:  # orthographic: along its axis, or aslant through the lens, from its plane
+        x, y, z = c[2] + sx * c[0] + sy * c[1], c[6] + sx * c[4] + sy * c[5], c[10] + sx * c[8] + sy * c[9]
+        facing = abs(nx * x + ny * y + nz * z)
+        ox, oy, oz = px + depth * x, py + depth * y, pz + depth * z
+        right, up = right + sx * depth - lx, up + sy * depth - ly
     else:
-        facing = abs(nx * x + ny * y + nz * z) / (depth * depth * depth)
-        right, up = right / depth, up / depth
-        ox, oy, oz = c[3], c[7], c[11]
+        ox, oy, oz = c[3] + lx * c[0] + ly * c[1], c[7] + lx * c[4] + ly * c[5], c[11] + lx * c[8] + ly * c[9]
+        facing = abs(nx * (px - ox) + ny * (py - oy) + nz * (pz - oz)) / (depth * depth * depth)
+        right, up = (right - lx) / depth + sx, (up - ly) / depth + sy
     near = c[17] / depth
     ox, oy, oz = ox + near * (px - ox), oy + near * (py - oy), oz + near * (pz - oz)
     return (right - c[12]) / wide, (up - c[14]) / high, ox, oy, oz, facing / abs(wide * high)
 
 
 @njit(**INNER)
-def _passes(words, ray, table, meshes, tlas, ids, first, opaque, ox, oy, oz, dx, dy, dz, distance):
-    """Whether nothing that is surely opaque lies on a ray before a distance."""
-    left = _SURE * distance
+def _hides(words, ray, table, meshes, tlas, ids, first, opaque, ox, oy, oz, dx, dy, dz, distance):
+    """The instance that alone is surely opaque on a ray before a distance; _NOTHING, or _SEVERAL."""
+    left, found = _SURE * distance, np.int64(_NOTHING)
     for _ in range(PASSES):
         set_ray(ray, words, ox, oy, oz, dx, dy, dz, left, _CAMERA)
         if not intersect(tlas, words):
-            return True
+            return found
         entry = first[np.int64(load_u32(words, INST_ID))] + np.int64(load_u32(words, INST_PRIM_ID))
         instance, triangle = np.int64(ids[entry]), np.int64(load_u32(words, PRIM_ID))
         material = material_of(table, mesh_record(meshes, table, instance), instance, triangle)
         if opaque[np.int64((material - table[T_MATERIALS]) // MATERIAL_SIZE)]:
-            return False
+            if found not in (_NOTHING, instance):
+                return np.int64(_SEVERAL)
+            found = instance
         step = ray[TFAR] * _BEYOND + _TINY
         ox, oy, oz, left = ox + step * dx, oy + step * dy, oz + step * dz, left - step
         if not left > _ZERO:
-            return True
-    return True
+            return found
+    return found

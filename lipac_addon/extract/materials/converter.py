@@ -13,7 +13,19 @@ from ....core.scene.model import Shader, Unsure, default_material
 from .ranges import most_of, range_of
 from .reader import MEAN, Reader, Value, grey
 from .textures import TextureTable
-from .trees import UNKNOWN, Tree, black, clear, glowing, mark, mixed, spread, unsure
+from .trees import (
+    UNKNOWN,
+    Tree,
+    black,
+    clear,
+    glowing,
+    glowing_through,
+    half_sure,
+    mark,
+    mixed,
+    spread,
+    unsure,
+)
 from .volumes import glow_of
 
 HALF = grey(0.5)
@@ -187,7 +199,15 @@ class Converter:
         return record
 
     def other(self, node: Any) -> Tree:
-        """Subsurface, sheen, toon, hair and the like: diffuse with their colour."""
+        """Sheen, toon, hair and the like: diffuse with their colour, of which half is surely there; through hair light
+        comes, too."""
+        record = self.diffuse(node)
+        if not self.most:
+            return record
+        return glowing_through(record, 1.0) if "HAIR" in node.type else half_sure(record)
+
+    def diffuse(self, node: Any) -> Records:
+        """In place of a node: diffuse with its colour."""
         self.report(f"{node.bl_label} rendered as diffuse")
         record = default_material()
         record["shader"] = Shader.DIFFUSE

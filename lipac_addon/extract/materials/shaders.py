@@ -82,8 +82,8 @@ def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
 
 
 def node_subsurface_scattering(converter: Converter, node: Any) -> Tree:
-    record = converter.other(node)
-    return record if isinstance(record, Composed) or not converter.most else glowing_through(record, 1.0)
+    record = converter.diffuse(node)
+    return glowing_through(record, 1.0) if converter.most else record
 
 
 def node_bsdf_diffuse(converter: Converter, node: Any) -> Records:
@@ -155,7 +155,7 @@ def node_bsdf_ray_portal(converter: Converter, node: Any) -> Tree:
 
 def node_script(converter: Converter, node: Any) -> Tree:
     converter.report("script not run: half of all rays pass")
-    return unsure(mixed(converter.other(node), clear()), whether=True)
+    return unsure(mixed(converter.diffuse(node), clear()), whether=True)
 
 
 def _mix(converter: Converter, first: Tree, second: Tree, share: Value) -> Tree:

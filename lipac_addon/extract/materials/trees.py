@@ -113,6 +113,13 @@ def glowing_through(record: Records, share: float) -> Tree:
     return out
 
 
+def half_sure(record: Records) -> Tree:
+    """A surface that may send on less light than is thought: half of it counts as surely there."""
+    doubtful = record.copy()
+    mark(doubtful, Unsure.LIGHT)
+    return mixed(record, doubtful)
+
+
 def glowing(record: Records, radiance: float) -> Records:
     """The material, that emits so much at most."""
     record["emission"], record["unsure_emission"] = radiance, radiance > 0

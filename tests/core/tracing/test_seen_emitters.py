@@ -54,9 +54,11 @@ def seen(built: s.Scene) -> SeenEmitters:
     return seen_emitters(prepare(built, blas), Tlas(built.instances, blas, everything), size)
 
 
-def of_tiles(found: SeenEmitters) -> np.ndarray:
-    """(T,) red."""
-    return found.without(np.zeros(1000, bool))[:, 0]
+def of_tiles(found: SeenEmitters, first: int = 1, last: int = 1000) -> np.ndarray:
+    """(T,) red, of some instances."""
+    keep = np.ones(1000, bool)
+    keep[first:last] = False
+    return found.without(keep)[:, 0]
 
 
 def pixels(camera: s.Camera, side: float, distance: float) -> float:
@@ -103,7 +105,7 @@ def test_paths_from_the_camera_find_the_same_in_every_tile() -> None:
         shown = dataclasses.replace(built, instances=instances)
         tlas = Tlas(instances, blas, np.ones(len(instances), bool))
         means.append(tile_means(trace(prepare(built, blas).with_instances(shown.instances), tlas, 2000).mean))
-    found = seen(built).without(np.zeros(1000, bool)) @ [0.2126, 0.7152, 0.0722]
+    found = of_tiles(seen(built), 1, 21)  # white
     traced = means[0] - means[1]
     assert traced.max() > 1
     # of POINTS[1] points on each speck, and of 200,000 paths per tile
@@ -114,7 +116,38 @@ def test_paths_from_the_camera_find_the_same_in_every_tile() -> None:
 @pytest.mark.parametrize(("before", "visible"), [(WALL, False), (GLASS, True)])
 def test_what_is_surely_opaque_hides_a_speck_and_glass_does_not(before: int, visible: bool) -> None:
     built = scene([(0, facing(0, 0), GLOW), (0, facing(0, 0, -1, 0.5), before)])
-    assert bool(len(seen(built))) == visible
+    assert bool(of_tiles(seen(built), 1, 2).any()) == visible
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_alone_hides_a_speck_has_its_light(count: int) -> None:
+    """As much as the speck would bring without it; of two that hide it neither has."""
+    speck = (0, facing(0.02, 0.02), GLOW)
+    walls = [(0, facing(0, 0, -1 - k, 0.5), WALL) for k in range(count)]
+    found, bare = seen(scene([speck, *walls])), seen(scene([speck]))
+    assert not of_tiles(found, 1, 2).any()
+    np.testing.assert_allclose(of_tiles(found, 2), of_tiles(bare) * (count == 1), rtol=1e-5)
+
+
+@pytest.mark.parametrize("camera", [PERSPECTIVE, ORTHOGRAPHIC], ids=["perspective", "orthographic"])
+@pytest.mark.parametrize("blades", [0, 5])
+def test_out_of_focus_a_speck_is_where_paths_see_it(camera: s.Camera, blades: int) -> None:
+    """In tiles all about; beside it, before the lens, one that hides a part of that. By 500 paths per pixel."""
+    lens = dataclasses.replace(camera, aperture=0.25, focus=2.0, blades=blades, aperture_ratio=1.5)
+    half = facing(-0.2, 0, -1.8, 0.4)
+    built = scene([(0, facing(0.03, 0.02, 0, 0.06), GLOW), (0, half, WALL)], lens)
+    blas = BlasCache(built.meshes)
+    blas.need(built.instances.mesh)
+    means = []
+    for keep in ([True] * 3, [True, False, True]):
+        shown = np.array(keep)
+        prepared = prepare(built, blas)
+        tlas = Tlas(built.instances, blas, shown)
+        means.append(tile_means(trace(prepared, tlas, 500).mean))
+    found, traced = of_tiles(seen(built), 1, 2), means[0] - means[1]
+    assert (traced > 0.02 * traced.sum()).sum() > 2
+    np.testing.assert_allclose(found.sum(), traced.sum(), rtol=0.15)
+    np.testing.assert_allclose(found, traced, atol=0.1 * traced.sum())
 
 
 @pytest.mark.parametrize("size", [(1, 1), (5, 3), (16, 9), (160, 1)])

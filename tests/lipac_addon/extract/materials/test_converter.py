@@ -443,6 +443,16 @@ def test_what_glows_within_lights_what_is_around(kind: str, inputs: dict[str, An
     assert (within["unsure_emission"], first["emission"].any()) == (glow > 0, False)
 
 
+@pytest.mark.parametrize(("kind", "through"), [("Sheen", False), ("Toon", False), ("HairPrincipled", True)])
+def test_of_what_is_taken_for_diffuse_half_is_sure(kind: str, through: bool) -> None:
+    """Half of its light is what changes are relative to; through hair light comes."""
+    t = Tree()
+    (head, sure, doubtful), _, lines = t.parts(t.new(f"ShaderNodeBsdf{kind}"))
+    assert (head["alpha"], sure["unsure"], doubtful["unsure"]) == (0.5, 0, Unsure.LIGHT)
+    assert (sure["shader"], doubtful["shader"]) == (Shader.DIFFUSE, Shader.TRANSLUCENT if through else Shader.DIFFUSE)
+    assert len(lines) == 1
+
+
 @pytest.mark.parametrize("same", [False, True])
 def test_the_colour_of_objects(same: bool) -> None:
     """That of those that show the material, or their mean, which is said; others do not count."""
