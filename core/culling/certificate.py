@@ -11,7 +11,8 @@ nothing else is culled that is worth anything to it, and the walk goes on for th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from ..error_budget.units import Seen, Units
 from ..feedback.path_log import PathLog
 from ..feedback.tiles import TILES, marks
 from ..progress import Progress, part, silent
+from ..tracing.seen_emitters import SeenEmitters
 from .frame_tracer import FrameTracer
 from .loop import Loop
 from .witness import Witness, trace_witness
@@ -177,7 +179,15 @@ class Certificate:
         estimate = self._estimate(keep, tlas)
         while doubts and not estimate.surely_holds(self.budget, self.each) and self._look_again(estimate, progress):
             estimate = self._estimate(keep, tlas)
+        if len(self.loop.seen) and estimate.surely_holds(self.budget, self.each):
+            estimate = replace(estimate, owed=estimate.owed + self._revealed(keep, tlas))
         return estimate
+
+    def _revealed(self, keep: np.ndarray, tlas: Tlas) -> F64:
+        """(T,) what the camera sees of small emitters that several instances hid of which none is in tlas any more, as
+        a share of the tile's light."""
+        more = self.loop.tracer.seen_emitters(tlas).shown(keep) - self._layers[0].emitters.shown(keep)
+        return self._light.share(np.arange(TILES, dtype=np.int32), np.maximum(more, 0.0))
 
     def judge_exchanged(
         self, tracer: FrameTracer, keep: np.ndarray, tlas: Tlas, budget: Budget, progress: Progress = silent
@@ -260,6 +270,11 @@ class _Layer:
         self.trial = Trial(self.reference, witness.log, self._without, only)
         self._buffer = PathLog.zeros(*only.shape)
         self._keep, self._tlas = loop.activation.exists, witness.tlas
+
+    @cached_property
+    def emitters(self) -> SeenEmitters:
+        """What the camera sees of small emitters with nothing culled."""
+        return self._loop.tracer.seen_emitters(self.witness.tlas)
 
     def propose(self, keep: np.ndarray, tlas: Tlas) -> int:
         """A set, (N,) bool of what stays, in tlas, that culls what was accepted and more. Returns how many paths are

@@ -24,14 +24,18 @@ class View:
     orthographic: bool
 
     @staticmethod
-    def of(camera: Camera) -> View:
-        """The view of a camera; depth of field adds nothing to it."""
+    def of(camera: Camera, lens: bool = False) -> View:
+        """The view of a camera. lens: with all that is seen out of focus, too."""
         axes = camera.to_world[:, :3] / np.linalg.norm(camera.to_world[:, :3], axis=0)
         eye = camera.to_world[:, 3].astype(np.float64)
         left, right, bottom, top = camera.frame
         sides = np.array([[1, 0, 0, -left], [-1, 0, 0, right], [0, 1, 0, -bottom], [0, -1, 0, top]], np.float64)
         if not camera.orthographic:  # offsets grow with the distance -z
             sides[:, 2], sides[:, 3] = -sides[:, 3], 0
+        if lens and camera.aperture > 0:  # a point at distance z spreads over |z / focus - 1| of the lens
+            reach = camera.aperture * max(1.0, 1 / camera.aperture_ratio)
+            sides[:, 2] -= reach / camera.focus
+            sides[:, 3] += reach
         local = np.vstack([sides, [[0, 0, -1, -camera.clip_start], [0, 0, 1, camera.clip_end]]])
         normals = local[:, :3] @ axes.T
         return View(

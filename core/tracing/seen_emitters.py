@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from ..accel.embree import INST_ID, INST_PRIM_ID, PRIM_ID, RAY, TFAR
 from ..accel.tlas import Tlas
@@ -62,23 +63,30 @@ class SeenEmitters:
     """What the camera sees of small emitters, and what hides of them.
 
     instance: (S,) int64; tile: (S,) int32; color: (S, 3) float64, what of the mean radiance of a tile the instance
-    brings, or keeps away.
+    brings, or, where hiding, (S,) bool, keeps away.
     """
 
     instance: I64
     tile: I32
     color: F64
+    hiding: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.instance)
 
     def without(self, keep: np.ndarray) -> F64:
         """(T, 3) mean radiance that each tile lacks, or has besides, where only keep, (N,) bool, is in the scene."""
-        lost = ~keep[self.instance]
-        return np.stack([np.bincount(self.tile[lost], self.color[lost, c], TILES) for c in range(3)], axis=1)
+        return self._sums(~keep[self.instance])
+
+    def shown(self, keep: np.ndarray) -> F64:
+        """(T, 3) mean radiance that each tile has of those of keep, (N,) bool, that nothing hides."""
+        return self._sums(keep[self.instance] & ~self.hiding)
+
+    def _sums(self, which: np.ndarray) -> F64:
+        return np.stack([np.bincount(self.tile[which], self.color[which, c], TILES) for c in range(3)], axis=1)
 
 
-NONE_SEEN = SeenEmitters(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 3)))
+NONE_SEEN = SeenEmitters(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, 3)), np.zeros(0, bool))
 
 
 def seen_emitters(prepared: Prepared, tlas: Tlas, size: tuple[int, int], seed: int = 0) -> SeenEmitters:
@@ -87,7 +95,7 @@ def seen_emitters(prepared: Prepared, tlas: Tlas, size: tuple[int, int], seed: i
     scene, emissive = prepared.scene, prepared.emissive
     rows = emissive[(scene.instances.flags[emissive] & (1 << _CAMERA)) != 0]
     boxes = scene.instances.bounds[rows]
-    view, extent = View.of(scene.camera), np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
+    view, extent = View.of(scene.camera, lens=True), np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
     rows = rows[view.shows(boxes, extent, 0.0) & ~view.shows(boxes, extent, SMALL / size[0])]
     if not len(rows):
         return NONE_SEEN
@@ -112,12 +120,14 @@ def seen_emitters(prepared: Prepared, tlas: Tlas, size: tuple[int, int], seed: i
         whose,
     )
     seen = tile >= 0
-    place = (whose * TILES + tile)[seen]
+    hiding = whose != rows[:, None]
+    place = ((whose * 2 + hiding) * TILES + tile)[seen]
     named, number = np.unique(place, return_inverse=True)
     pixels = np.bincount(tiles_of(size[1], size[0]).ravel(), minlength=TILES)
     sums = np.stack([np.bincount(number, color[..., c][seen], len(named)) for c in range(3)], axis=1)
     tiles = (named % TILES).astype(np.int32)
-    return SeenEmitters((named // TILES).astype(np.int64), tiles, sums / np.maximum(pixels, 1)[tiles][:, None])
+    whom = (named // TILES).astype(np.int64)
+    return SeenEmitters(whom // 2, tiles, sums / np.maximum(pixels, 1)[tiles][:, None], whom % 2 > 0)
 
 
 def polished(scene: Scene) -> bool:

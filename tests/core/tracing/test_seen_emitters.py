@@ -130,6 +130,18 @@ def test_what_alone_hides_a_speck_has_its_light(count: int) -> None:
 
 
 @pytest.mark.parametrize("camera", [PERSPECTIVE, ORTHOGRAPHIC], ids=["perspective", "orthographic"])
+@pytest.mark.parametrize("side", [1, 3], ids=["right", "top"])
+def test_beside_the_picture_a_speck_is_seen_out_of_focus(camera: s.Camera, side: int) -> None:
+    """A part of its disk reaches into the picture; in focus it does not, nor further away."""
+    lens = dataclasses.replace(camera, aperture=0.25, focus=2.0)
+    edge = float(camera.frame[side]) * (1 if camera.orthographic else 4) + 0.05
+    x, z = (edge, 0.0) if side == 1 else (0.0, edge)
+    assert of_tiles(seen(scene([(0, facing(x, z), GLOW)], lens))).any()
+    assert not of_tiles(seen(scene([(0, facing(x, z), GLOW)], camera))).any()
+    assert not of_tiles(seen(scene([(0, facing(2 * x, 2 * z), GLOW)], lens))).any()
+
+
+@pytest.mark.parametrize("camera", [PERSPECTIVE, ORTHOGRAPHIC], ids=["perspective", "orthographic"])
 @pytest.mark.parametrize("blades", [0, 5])
 def test_out_of_focus_a_speck_is_where_paths_see_it(camera: s.Camera, blades: int) -> None:
     """In tiles all about; beside it, before the lens, one that hides a part of that. By 500 paths per pixel."""
