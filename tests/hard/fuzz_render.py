@@ -27,6 +27,7 @@ from lipac.scripts.lipac import main
 from .choices import Seeded
 from .features import FEATURES
 from .fuzz_blender import snapshot
+from .later_features import LATER, OPTIONS, features
 
 MODES = ("edit_mode", "painted", "posed")  # come last: only what is in Object Mode can be added to
 MOST = 4  # features of a scene
@@ -36,7 +37,7 @@ SIZE, SAMPLES = {"render": "64x36", "analyze": "32x18"}, "8"
 def drawn(seed: int) -> list[str]:
     """Names of the features of a seed; at most one of modes, which is the last."""
     choose = Seeded(seed)
-    names = sorted(FEATURES)
+    names = sorted(features(seed))
     taken = dict.fromkeys(choose.one(names) for _ in range(choose.integer(1, MOST)))
     modes = [name for name in taken if name in MODES][:1]
     return [name for name in taken if name not in MODES] + modes
@@ -45,12 +46,12 @@ def drawn(seed: int) -> list[str]:
 def build(seed: int, path: Path, names: list[str] | None = None) -> list[str]:
     """Save the file of a seed, in a folder of its own: a scatter of the family, and features, by default those that it
     draws. Returns their names."""
-    choose, names = Seeded(seed + 2**32), names or drawn(seed)
+    choose, names, known = Seeded(seed + 2**32), names or drawn(seed), FEATURES | LATER
     with muted():
         family.build_drawn(replace(family.draw(seed), count=choose.integer(50, 400)))
         scene = bpy.context.scene
         for name in names:
-            FEATURES[name](choose, scene, path.parent)
+            known[name](choose, scene, path.parent)
         bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=choose.rarely())
     return names
 
@@ -67,9 +68,9 @@ def run(seed: int, names: list[str] | None = None, verify: int = 12) -> dict[str
         path = folder / "scene.blend"
         record: dict[str, Any] = {"seed": seed, "features": build(seed, path, names)}
         before = files(folder)
-        status, lines = command(
-            "render" if verify else "analyze", path, folder / "culled", *(["--verify", str(verify)] if verify else [])
-        )
+        options = [text for name in record["features"] for text in OPTIONS.get(name, ())]
+        options += ["--verify", str(verify)] if verify else []
+        status, lines = command("render" if verify else "analyze", path, folder / "culled", *options)
         record |= {"status": status, "said": lines}
         if bpy.data.filepath and Path(bpy.data.filepath) == path:
             used = snapshot()

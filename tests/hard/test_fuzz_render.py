@@ -16,6 +16,7 @@ from lipac.scripts.dev import fuzz
 
 from .features import FEATURES
 from .fuzz_render import build, drawn, judge
+from .later_features import LATER, SINCE
 
 FIRST = 10**6  # seeds other than those of recorded runs
 EVERY = 5  # one of so many is rendered and verified, the others are analysed
@@ -51,7 +52,8 @@ def test_files(block: int, check: Callable[[range], list[dict[str, Any]]]) -> No
 
 
 def test_every_feature_is_drawn() -> None:
-    assert {name for seed in range(2000) for name in drawn(seed)} == set(FEATURES)
+    assert {name for seed in range(SINCE) for name in drawn(seed)} == set(FEATURES)
+    assert {name for seed in range(SINCE, 2000) for name in drawn(seed)} == {*FEATURES, *LATER}
 
 
 def test_a_seed_is_a_file(tmp_path: Path) -> None:
