@@ -11,7 +11,7 @@ def main(argv: Sequence[str]) -> int:
 
     from ..core.errors import InputError
     from .command.frames import do_frames
-    from .command.options import scene_parser, settle
+    from .command.options import scene_parser
 
     parser = scene_parser(
         "analyze", "Decide which instances of a scene light paths need: states per frame and report.json."
@@ -19,7 +19,6 @@ def main(argv: Sequence[str]) -> int:
     saved = "with --bake shot: save a copy of the scene with the set baked in, which any Blender renders"
     parser.add_argument("--save", type=Path, metavar="FILE.blend", help=saved)
     args = parser.parse_args(argv)
-    settle(args, parser)
     if args.save is not None and args.bake != "shot":
         raise InputError("--save bakes one set for all frames into a copy of the scene: it goes with --bake shot")
     return int(do_frames(args, save=args.save).status)

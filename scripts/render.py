@@ -15,7 +15,7 @@ def main(argv: Sequence[str]) -> int:
     from ..lipac_addon.batch.engines.choices import ENGINES
     from .command.arguments import device, sample_count
     from .command.frames import do_frames
-    from .command.options import scene_parser, settle
+    from .command.options import scene_parser
 
     parser = scene_parser(
         "render", "Cull a scene by its light paths and render it: pictures, states per frame and report.json."
@@ -68,7 +68,6 @@ def main(argv: Sequence[str]) -> int:
         help="EEVEE's samples per pixel (default: %(default)s)",
     )
     args = parser.parse_args(argv)
-    settle(args, parser)
     if args.as_scene and args.engine:
         raise InputError("--as-scene renders by the engine that the scene is set to: leave --engine out")
     if args.as_scene and args.enforce:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ...core.culling.options import DEFAULT_BUDGET, CullOptions
 from ...core.culling.policies import LIGHT_PATHS, POLICIES, RULES
@@ -30,9 +31,19 @@ class Parser(argparse.ArgumentParser):
         raise InputError(f"{message}; {self.prog} --help tells the options")
 
 
+class _SceneParser(Parser):
+    """Adds `if_it_pays`, whether the command line says nothing of how to cull, and what `cull` is then."""
+
+    def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> argparse.Namespace:  # type: ignore[override]
+        found = super().parse_args(args, namespace)
+        found.if_it_pays = all(getattr(found, name, None) == self.get_default(name) for name in HOW)
+        found.cull = found.cull or LIGHT_PATHS
+        return found
+
+
 def scene_parser(command: str, description: str) -> Parser:
-    """A parser with the options of `analyze`, of which `render` has more."""
-    parser = Parser(prog=f"lipac {command}", description=description)
+    """A parser with the options of `analyze`, of which `render` has more. What it reads is settled."""
+    parser = _SceneParser(prog=f"lipac {command}", description=description)
     parser.set_defaults(command=command)
     parser.add_argument(
         "scene",
@@ -145,13 +156,6 @@ def scene_parser(command: str, description: str) -> Parser:
     general.add_argument("--threads", type=thread_count, default=0, metavar="N", help=threads)
     general.add_argument("--quiet", action="store_true", help="no progress")
     return parser
-
-
-def settle(args: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    """What a command line that was read leaves open: `if_it_pays`, whether it says nothing of how to cull; and
-    `cull`."""
-    args.if_it_pays = all(getattr(args, name, None) == parser.get_default(name) for name in HOW)
-    args.cull = args.cull or LIGHT_PATHS
 
 
 def cull_options(args: argparse.Namespace) -> CullOptions:

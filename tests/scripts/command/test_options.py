@@ -9,15 +9,13 @@ import pytest
 
 from lipac.core.errors import InputError
 from lipac.lipac_addon.batch.engines.choices import BLENDER_ENGINES, ENGINES, DeviceChoice, Engine
-from lipac.scripts.command.options import check, check_device, cull_options, scene_parser, settle
+from lipac.scripts.command.options import check, check_device, cull_options, scene_parser
 
 
 def parsed(folder: Path, engine: str, *options: str) -> argparse.Namespace:
     """Arguments of a command that renders an empty file by an engine."""
     (folder / "scene.blend").touch()
-    parser = scene_parser("render", "")
-    args = parser.parse_args([str(folder / "scene.blend"), "-o", str(folder / "out"), *options])
-    settle(args, parser)
+    args = scene_parser("render", "").parse_args([str(folder / "scene.blend"), "-o", str(folder / "out"), *options])
     args.engine = engine
     return args
 
@@ -105,8 +103,6 @@ def test_levels_are_of_blenders_engines(engine: str, tmp_path: Path) -> None:
     ],
 )
 def test_who_says_how_to_cull_is_analysed_in_any_case(options: str, open_: bool, tmp_path: Path) -> None:
-    parser = scene_parser("render", "")
-    args = parser.parse_args(["scene.blend", "-o", str(tmp_path), *options.split()])
-    settle(args, parser)
+    args = scene_parser("render", "").parse_args(["scene.blend", "-o", str(tmp_path), *options.split()])
     assert args.if_it_pays == open_
     assert args.cull == "light-paths"
