@@ -4,15 +4,18 @@
 # make accuracy  docs/accuracy.md: every hard case, measured (minutes)
 # make animation docs/animation.md: animated scenes, measured (half an hour; single parts: lipac bench --only PART)
 # make check     ruff, mypy, the quick tests, which need no Blender (two minutes)
-# make test      ruff, mypy, every test
+# make test      ruff, mypy, every test, in two processes at a time (WORKERS=1: in one after the other)
 # make blender   the tests of Blender's API and of Cycles' shading, on another Blender: make blender BLENDER=5.3
 # make lock      newest versions that pyproject.toml allows into requirements*.txt, which all the others install
+#                (UPGRADE= leaves what is there as it is: for a package more)
 # make docs      pages that are written from the code, and the site: build/site
 # make extension one zip per platform, to install in Blender: dist
 # PYTHON=/path/to/python picks the interpreter (default: a Python 3.13, else 3.11), VENV=folder the environment.
 
 VENV ?= .venv
 BLENDER ?= 5.3
+WORKERS ?= 2
+UPGRADE ?= --upgrade
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 UV := uv==0.13.9
@@ -36,9 +39,10 @@ docs: $(VENV)/.installed-test
 	$(BIN)/python -m mkdocs build --quiet
 extension: $(VENV)/.installed-test
 	$(BIN)/python -m lipac.scripts.dev.make_extension
+# Each worker takes whole files, whose tests share what they build, and may use all processors.
 # Tests run even where lint or types complain, so that one look shows everything; any of the three fails the target.
 test: $(VENV)/.installed-test
-	@status=0; $(MAKE) lint VENV=$(VENV) || status=$$?; $(BIN)/python -m pytest --durations=25 || status=$$?; exit $$status
+	@status=0; $(MAKE) lint VENV=$(VENV) || status=$$?; $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=25 || status=$$?; exit $$status
 check: lint
 	$(BIN)/python -m pytest --durations=10 -m "not slow and not blender"
 smoke: $(VENV)/.installed-test
@@ -70,8 +74,8 @@ blender: .venv-$(BLENDER)/.another-blender
 # One lock for every Python and platform. What only tests need is in the second; both agree on what they share.
 lock: | $(BIN)/python
 	$(BIN)/python -m venv $(VENV)-lock && $(VENV)-lock/bin/python -m pip install -q --disable-pip-version-check '$(UV)'
-	$(call compile,requirements-test.txt,--extra test --upgrade)
-	$(call compile,requirements.txt,--constraint requirements-test.txt --upgrade)
+	$(call compile,requirements-test.txt,--extra test $(UPGRADE))
+	$(call compile,requirements.txt,--constraint requirements-test.txt $(UPGRADE))
 compile = echo setuptools | $(VENV)-lock/bin/uv --no-python-downloads pip compile pyproject.toml - -q --universal --python-version 3.11 \
 	--generate-hashes --no-annotate --custom-compile-command 'make lock' $(2) -o $(1)
 
