@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ....core.arrays import F32, F64, U32
 from ....core.scene.mesh import Mesh, MeshSequence
 from ....core.scene.placing import LARGEST
-from ..attributes import NAME, places
+from ...attributes import NAME, places
 from ..materials.displacement import Relief, shells
 from .fibres import Fibres
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ....core.arrays import Records
 from ....core.scene.model import Shader, Unsure, default_material
-from .ranges import most_of, range_of
+from .ranges import glow_of, most_of, range_of
 from .reader import MEAN, Reader, Value, grey
 from .textures import TextureTable
 from .trees import (
@@ -26,7 +26,6 @@ from .trees import (
     spread,
     unsure,
 )
-from .volumes import glow_of
 
 HALF = grey(0.5)
 FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....core.scene.model import Extension
-from .. import attributes
+from ... import attributes
 from .arithmetic import Array
 from .textures import ImageUse, TextureTable
 

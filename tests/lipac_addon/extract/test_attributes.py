@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lipac.core.arrays import F32
+from lipac.lipac_addon.attributes import palette, places
 from lipac.lipac_addon.extract import extract_frame
-from lipac.lipac_addon.extract.attributes import palette, places
 
 from .conftest import add, cube
 

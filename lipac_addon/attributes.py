@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import F32
+from ..core.arrays import F32
 
 NAME = "\nattribute "  # begins the name of what is a UV map of such places; none of Blender's has a line's end
 LEVELS = 64
