@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..accel.region_tree import FANOUT
 from ..accel.tlas import Tlas
-from ..arrays import F64, I32, I64
+from ..arrays import F64, I32
 from ..error_budget.budget import Budget, Savings, Shared
 from ..error_budget.error_estimate import CONFIDENCE, Light, Reference
 from ..error_budget.fitting import least_that_fits
@@ -20,15 +20,13 @@ from ..error_budget.trial import Trial
 from ..error_budget.units import Seen, Units, units_of
 from ..errors import InputError
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import DARK, TILES, marks, tiles_of
+from ..feedback.tiles import DARK, marks
 from ..progress import Progress, part, silent
-from ..scene.model import RAY_TYPES, RayType, Scene
-from ..tracing.lights.lights import brightest
-from ..tracing.seen_emitters import polished
+from ..scene.model import RAY_TYPES, Scene
 from .certificate import MORE, STEEPEST, Certificate, Verdict
 from .levels.levelled import CULLING, PROPOSALS, has_levels, levelled
 from .loop import Loop
-from .measurement import Measurement, Traced
+from .measurement import Measurement, Traced, evidence
 from .options import CullOptions
 from .policies import LIGHT_PATHS
 from .result import CullingResult
@@ -37,6 +35,7 @@ from .witness import trace_witness
 # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with
 # more than that
 PRICELESS = 50.0
+COINCIDENT = 1e-3  # share of places with coincident surfaces from which on a warning tells of them
 DENSER_TIMES = 2  # how often at most a measurement gets more paths in some tiles
 DOUBTS = 2  # sets that a search gives up for noise before that
 ATTEMPTS = 3  # at a certificate, each by a measurement of twice the paths of the one before
@@ -247,6 +246,12 @@ def _decided(
         warnings.append(
             "of nothing it is sure that the picture may go without it, at this error budget: everything is kept"
         )
+    chance = loop.tracer.coincident / max(loop.tracer.looks, 1)
+    if chance > COINCIDENT:
+        warnings.append(
+            f"surfaces of several objects lie in one place, on {100 * chance:.2g} % of what paths met: which of them a "
+            "renderer shows there is chance, and no error bound holds for it; they stay"
+        )
     ids, worth = measured.tlas.ids, measured.worth
     score = np.zeros(len(loop.activation), np.float32)
     score[ids] = worth.mean(axis=1)
@@ -337,31 +342,9 @@ def units_measured(loop: Loop, measured: Measurement, budget: Budget, light: Lig
         built_ones = seen.of >= 0
         place = seen.of[built_ones], seen.tile[built_ones]
         worth[place] = np.maximum(worth[place], share[built_ones])
-        return units_of(loop.activation.regions, ids, _evidence(loop, measured, budget), worth, must, seen), savings
-
-
-def _evidence(loop: Loop, measured: Measurement, budget: Budget) -> I64:
-    """(A,) how many paths say what each TLAS entry is worth: those that met it.
-
-    What mirrors and glass show of an emitter, light sampling does not find. Where one path that meets it there would
-    break the budget of a typical tile, and paths meet such emitters there, those alone are evidence.
-    """
-    met, ids = measured.paths_met(), measured.tlas.ids
-    if not polished(loop.scene):
-        return met
-    rows = measured.tlas.entry_of(len(loop.activation))[measured.emissive]
-    rows = rows[rows >= 0]
-    if not len(rows):
-        return met
-    paths = np.bincount(tiles_of(loop.size[1], loop.size[0]).ravel(), minlength=TILES) * measured.samples
-    total = measured.weights.total * measured.weights.known * measured.weights.unit
-    light = total / np.maximum(paths, 1)  # mean of each tile's paths
-    typical = float(np.median((np.maximum(light, DARK * light.mean()) * paths)[paths > 0]))
-    rows = rows[brightest(loop.scene)[ids[rows]] > budget.worst * typical]
-    seen = measured.feedback.hits[ids[rows]][:, [RayType.GLOSSY, RayType.TRANSMISSION]].sum(axis=1)
-    if seen.any():
-        met[rows] = np.minimum(met[rows], seen)
-    return met
+        met, missed = evidence(measured, loop.scene, loop.size, budget)
+        must[missed] = True
+        return units_of(loop.activation.regions, ids, met, worth, must, seen), savings
 
 
 def _savings(loop: Loop, ids: I32) -> Savings:

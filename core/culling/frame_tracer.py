@@ -62,7 +62,7 @@ class FrameTracer:
     def _enter(self, scene: Scene, cancelled: Callable[[], bool] | None) -> None:
         self.scene, self._cancelled = scene, cancelled or (lambda: False)
         self.timer = Timer()
-        self.paths = self.rays = 0
+        self.paths = self.rays = self.looks = self.coincident = 0  # as of Picture, in all traces
         self.size = self._options.picture_size(scene.film)
         # measurements take samples from 0 on, in every frame the same: what did not change measures the same
         self.next_sample = ROUNDS_FROM
@@ -197,8 +197,9 @@ class FrameTracer:
             return np.ones(TILES)
         prepared = self.with_only_emitters(keep, self.prepared.relit(scene))
         with self.timer.step("trace_s"):
-            known = self._trace(prepared, tlas, samples, 0, None, silent, self.size)
-        return known_share(self.scene, known.mean, picture)
+            return known_share(
+                self.scene, self._trace(prepared, tlas, samples, 0, None, silent, self.size).mean, picture
+            )
 
     def _trace(
         self,
@@ -212,18 +213,17 @@ class FrameTracer:
         log: PathLog | None = None,
         only: NDArray[np.uint8] | None = None,
     ) -> Picture:
-        options = self._options
         picture = trace(
             prepared,
             tlas,
             samples=samples,
             first_sample=first_sample,
-            seed=options.seed,
+            seed=self._options.seed,
             feedback=feedback,
-            hitbox_every=options.hitbox_every,
+            hitbox_every=self._options.hitbox_every,
             nearest=BOXES_PER_SEGMENT,
             size=size,
-            threads=options.threads,
+            threads=self._options.threads,
             progress=progress,
             cancelled=self._cancelled,
             log=log,
@@ -232,6 +232,8 @@ class FrameTracer:
         if self._cancelled():
             raise Cancelled
         self.rays += picture.rays
+        self.looks += picture.looks
+        self.coincident += picture.coincident
         return picture
 
 

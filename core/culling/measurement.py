@@ -8,10 +8,14 @@ import numpy as np
 
 from ..accel.tlas import Tlas
 from ..arrays import F32, F64, I64
+from ..error_budget.budget import Budget
+from ..error_budget.error_estimate import CONFIDENCE
 from ..feedback.hits import Feedback, Weights
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import tile_means
-from ..scene.model import Scene
+from ..feedback.tiles import DARK, TILES, tile_means, tiles_of
+from ..scene.model import RayType, Scene
+from ..tracing.lights.lights import brightest
+from ..tracing.seen_emitters import polished
 
 
 @dataclass(frozen=True)
@@ -84,3 +88,39 @@ def known_share(scene: Scene, known: F32, picture: F32) -> F64:
     if (scene.lights["unsure"] & 2).any():  # what lamps take away is no more than all that is not known
         share = 2 * share - 1
     return np.asarray(np.clip(share, 0.0, 1.0))
+
+
+def evidence(measured: Measurement, scene: Scene, size: tuple[int, int], budget: Budget) -> tuple[I64, I64]:
+    """(A,) how many paths say what each TLAS entry is worth: those that met it; and instances that no path met where
+    some such may well be seen, which stay.
+
+    What mirrors and glass show of an emitter, light sampling does not find. Where one path that meets it there would
+    break the budget of a typical tile, and paths meet such emitters there, those alone are evidence.
+
+    size: (width, height) of the picture in pixels.
+    """
+    met, ids = measured.paths_met(), measured.tlas.ids
+    nothing = np.zeros(0, np.int64)
+    if not polished(scene):
+        return met, nothing
+    rows = measured.tlas.entry_of(len(scene.instances))[measured.emissive]
+    rows = rows[rows >= 0]
+    if not len(rows):
+        return met, nothing
+    paths = np.bincount(tiles_of(size[1], size[0]).ravel(), minlength=TILES) * measured.samples
+    total = measured.weights.total * measured.weights.known * measured.weights.unit
+    light = total / np.maximum(paths, 1)  # mean of each tile's paths
+    typical = float(np.median((np.maximum(light, DARK * light.mean()) * paths)[paths > 0]))
+    rows = rows[brightest(scene)[ids[rows]] > budget.worst * typical]
+    seen = measured.feedback.hits[ids[rows]][:, [RayType.GLOSSY, RayType.TRANSMISSION]].sum(axis=1)
+    if not seen.any():
+        return met, nothing
+    met[rows] = np.minimum(met[rows], seen)
+    return met, ids[rows[seen == 0]].astype(np.int64) if likely_missed(seen) > 1 - CONFIDENCE else nothing
+
+
+def likely_missed(counts: I64) -> float:
+    """How many things are likely there that were met 0 times, by how often others were, (n,): Chao's lower bound in its
+    bias-corrected form (Chao, "Nonparametric estimation of the number of classes in a population", 1984; Chao 1987)."""
+    once, twice = int((counts == 1).sum()), int((counts == 2).sum())
+    return once * (once - 1) / (2 * (twice + 1))

@@ -23,7 +23,8 @@ class Picture:
     sums: (H, W, 4) float32, linear radiance times exposure and alpha, added over `samples` samples; rows bottom up, as
     in Blender.
     samples: per pixel. paths, rays: counts of camera paths, and of rays traced in all. parts: (H, W, path_kernel.PARTS)
-    float32, sums of parts of the light, where paths started at given hits.
+    float32, sums of parts of the light, where paths started at given hits. looks, coincident: at how many places paths
+    looked for surfaces of several instances in one place, and found them.
     """
 
     sums: F32
@@ -31,6 +32,8 @@ class Picture:
     paths: int
     rays: int
     parts: F32 | None = None
+    looks: int = 0
+    coincident: int = 0
 
     @property
     def mean(self) -> F32:

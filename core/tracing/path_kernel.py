@@ -65,10 +65,11 @@ from .materials import (
     transmits_shadow,
 )
 from .path_feedback import add_light, add_worth, count_hit, record_vertex
-from .path_rays import count_boxes, entry_of, intersect, set_ray, start_at_hit
+from .path_rays import coincident, count_boxes, entry_of, intersect, looks_for_coincident, set_ray, start_at_hit
 from .path_state import (
     BOTH,
     CLEAR,
+    COINCIDENT,
     I_DIFFUSE,
     I_GLOSSY,
     I_HITBOX_EVERY,
@@ -82,7 +83,9 @@ from .path_state import (
     I_TRANSPARENT,
     I_TRANSPARENT_FILM,
     I_UNBUILT,
+    I_WEIGHED_FROM,
     LIGHT_ONLY,
+    LOOKS,
     NO_PART,
     PARTS,
     PARTS_AT,
@@ -134,6 +137,8 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
     every = s.settings[I_HITBOX_EVERY]
     count = s.hitboxes != np.uint64(0) and every > 0 and mix(key) % np.uint64(max(every, 1)) == np.uint64(0)
     watched = s.feedback != np.uint64(0)
+    weighed = watched and s.weights != np.uint64(0) and s.settings[I_WEIGHED_FROM] == 0
+    looks = weighed and looks_for_coincident(key)
     lit = s.lights[L_EMITTERS] + s.lights[L_INFINITE] != np.uint64(0)
     strategy = s.settings[I_STRATEGY]
     dimension = np.uint64(0)
@@ -243,6 +248,14 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         unsure = load_u32(material + M_UNSURE, 0)
         if unsure & _CLEAR and watched and s.weights != np.uint64(0) and not first:
             add_worth(s, w, entry_of(s, w.ray_words), FAR)
+        if looks and not first:
+            entry = entry_of(s, w.ray_words)
+            other = coincident(s, w, instance, ray_type)
+            w.stats[LOOKS] += 1
+            if other >= 0:
+                w.stats[COINCIDENT] += 1
+                add_worth(s, w, entry, FAR)
+                add_worth(s, w, other, FAR)
         if background and (shader == _HOLDOUT or np.int64(load_u8(s.table[T_FLAGS], instance)) & _HOLDOUT_FLAG != 0):
             w.total[3] += (tr + tg + tb) * _THIRD
             return

@@ -1,4 +1,10 @@
-"""Rays of path kernels: their queries to Embree, and the hitboxes that they cross."""
+"""Rays of path kernels: their queries to Embree, the hitboxes that they cross, and the surfaces that share a place.
+
+Surfaces of two instances may lie in one plane: a decal on its wall at no distance, two floors at 0. A renderer shows
+neither properly: which of them a ray meets, and whether one shadows the other, is chance. Where one goes, the other
+looks different, though paths may have met but one of them. Instances that lie exactly where another one does are found
+by their boxes (core.scene.twins); those that share a plane, by short rays at what paths meet.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +33,20 @@ from ..accel.embree import _intersect1 as rtc_intersect
 from ..accel.hitboxes import QUERY, count_crossings
 from ..jit.atomics import pointer
 from ..jit.pointers import load_f32, load_i32, load_u32, u32_pointer
-from ..jit.sampling import INNER
+from ..jit.sampling import INNER, mix
 from ..scene.model import RAY_TYPES
-from .surface import T_TRANSFORM, interpolate, mesh_record
+from .bsdf.lobes import F_NG
+from .lights.light_sampling import triangle_edges
+from .surface import S_ERROR, S_P, T_TRANSFORM, interpolate, mesh_record
 
-_ZERO = np.float32(0.0)
+_ZERO, _TWO = np.float32(0.0), np.float32(2.0)
 _INSTANCE_BYTES = np.uint64(48)
 # Exactly flat ground at 0 has no error to move by: a hit at distance 0 must not count.
 _NEAR = np.float32(1e-30)
+_EVERY = np.uint64(7)  # paths look where these bits of their key are 0: one in eight
+_SALT = np.uint64(0x636F706C616E6172)
+_REACH = np.float32(2.0)  # times the bound of a hit's error: this tracer's error, and that of a renderer
+_PARALLEL = np.float32(0.99)  # cosine between normals: at less, surfaces cross in a line, which is no area
 
 
 @njit(**INNER)
@@ -100,3 +112,33 @@ def start_at_hit(s, w, record, ox, oy, oz, dx, dy, dz):
     w.ray[HIT_V] = b2
     u32_pointer(w.ray_words)[PRIM_ID] = triangle
     return instance
+
+
+@njit(**INNER)
+def looks_for_coincident(key):
+    """Whether the path of a key is one of those that look for coincident surfaces."""
+    return mix(key + _SALT) & _EVERY == np.uint64(0)
+
+
+@njit(**INNER)
+def coincident(s, w, instance, ray_type):
+    """TLAS entry of another instance that has a surface of the same plane where a path has met one, or -1. w.surf,
+    w.frame: of the hit, its normals turned to where the path came from. Overwrites w.ray."""
+    nx, ny, nz = w.frame[F_NG], w.frame[F_NG + 1], w.frame[F_NG + 2]
+    reach = _REACH * (abs(nx) * w.surf[S_ERROR] + abs(ny) * w.surf[S_ERROR + 1] + abs(nz) * w.surf[S_ERROR + 2])
+    # from behind: the path has met what lies in front
+    ox, oy, oz = w.surf[S_P] - reach * nx, w.surf[S_P + 1] - reach * ny, w.surf[S_P + 2] - reach * nz
+    set_ray(w.ray, w.ray_words, ox, oy, oz, nx, ny, nz, _TWO * reach, ray_type)
+    if not intersect(s.tlas, w.ray_words):
+        return np.int64(-1)
+    entry = entry_of(s, w.ray_words)
+    other = np.int64(s.ids[entry])
+    if other == instance:
+        return np.int64(-1)
+    triangle = np.int64(load_u32(w.ray_words, PRIM_ID))
+    _, _, _, ux, uy, uz, vx, vy, vz = triangle_edges(s.meshes, s.table, other, triangle)
+    mx, my, mz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    along = abs(mx * nx + my * ny + mz * nz)
+    if not along * along > _PARALLEL * _PARALLEL * (mx * mx + my * my + mz * mz):
+        return np.int64(-1)
+    return entry

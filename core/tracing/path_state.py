@@ -43,9 +43,11 @@ PARTS = 12
 NO_PART = -1
 PARTS_AT = 4  # in Scratch.total
 
-RAYS, PATHS = 0, 1  # stats, int64[2]
+# stats, int64[STATS]: rays and paths in all; places where paths looked for coincident surfaces, and found some
+RAYS, PATHS, LOOKS, COINCIDENT = range(4)
+STATS = 4
 # of a thread's own stats: coarse tile of the pixel, how many instances the path has met, address of its record
-W_TILE, W_VERTICES, W_RECORD = 2, 3, 4
+W_TILE, W_VERTICES, W_RECORD = 4, 5, 6
 MAX_VERTICES = 64  # met by one path and weighed; what is met after them goes with the last
 
 

@@ -24,6 +24,7 @@ from .path_state import (
     A_STATS,
     A_SUMS,
     CLEAR,
+    COINCIDENT,
     I_CAMERAS,
     I_FIRST_SAMPLE,
     I_HEIGHT,
@@ -31,6 +32,7 @@ from .path_state import (
     I_SAMPLES,
     I_SEED,
     I_WIDTH,
+    LOOKS,
     MAYBE,
     PARTS,
     PARTS_AT,
@@ -118,19 +120,20 @@ def trace_tiles(tiles, taken, a):
     """Trace tiles, (n, 4) int64 of x, y and where it ends, one after the other: each the next one that no thread has
     taken. taken: int64[1], how many are; who sets it to n stops all. a: addresses, A_*.
 
-    Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[2]; writes the light of each path to A_COLOR
+    Adds to the sums, (H, W, 4) float32, and atomically to stats, int64[STATS]; writes the light of each path to A_COLOR
     where that is given.
     """
     s = scenery(a)
     work = np.empty(WORK + 16, np.uint8)
     w = scratch((np.uint64(work.ctypes.data) + np.uint64(15)) & ~np.uint64(15))
-    w.stats[RAYS] = 0
+    w.stats[RAYS] = w.stats[LOOKS] = w.stats[COINCIDENT] = 0
     paths = 0
     counter = np.uint64(taken.ctypes.data)
     k = atomic_add_int64(counter, 1)
     while k < len(tiles):
         paths += _trace_tile(s, w, a, tiles[k, 0], tiles[k, 1], tiles[k, 2], tiles[k, 3])
         k = atomic_add_int64(counter, 1)
-    atomic_add_int64(a[A_STATS] + np.uint64(8 * RAYS), w.stats[RAYS])
+    for count in (RAYS, LOOKS, COINCIDENT):
+        atomic_add_int64(a[A_STATS] + np.uint64(8 * count), w.stats[count])
     atomic_add_int64(a[A_STATS] + np.uint64(8 * PATHS), paths)
     return work[0]  # keeps the work space alive until here

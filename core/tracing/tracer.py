@@ -147,7 +147,7 @@ def trace(
         raise RuntimeError("a mesh was freed that the TLAS shows")
     width, height = size or (scene.film.width, scene.film.height)
     sums = np.zeros((height, width, 4), np.float32)
-    stats = np.zeros(2, np.int64)
+    stats = np.zeros(state.STATS, np.int64)
     settings, limits = _settings(scene, width, height, samples, first_sample, seed, hitbox_every, nearest, strategy)
     if feedback is not None and feedback.weights is not None:
         weights = feedback.weights
@@ -185,7 +185,10 @@ def trace(
         progress,
         cancelled,
     )
-    return Picture(sums, samples, int(stats[state.PATHS]), int(stats[state.RAYS]), parts)
+    paths, rays, looks, coincident = (
+        int(stats[count]) for count in (state.PATHS, state.RAYS, state.LOOKS, state.COINCIDENT)
+    )
+    return Picture(sums, samples, paths, rays, parts, looks, coincident)
 
 
 def tiles_to_trace(width: int, height: int, only: NDArray[np.uint8] | None) -> I64:

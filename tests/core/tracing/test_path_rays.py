@@ -1,0 +1,78 @@
+"""Surfaces of two instances in one plane: which of them a renderer shows is chance, so both stay, and it is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.options import CullOptions
+from lipac.core.culling.result import CullingResult
+from lipac.core.error_budget.budget import Budget
+from lipac.core.scene import model as s
+
+from .. import scenes
+from ..scenes import material
+
+SIZE = (160, 90)
+WALL, DECAL = range(2)
+
+
+def turned(angle: float) -> np.ndarray:
+    """About an axis that is none of the coordinates'."""
+    a, b = np.cos(angle), np.sin(angle)
+    around_z = np.array([[a, -b, 0], [b, a, 0], [0, 0, 1.0]])
+    around_x = np.array([[1.0, 0, 0], [0, a, -b], [0, b, a]])
+    return around_z @ around_x
+
+
+def analysed(gap: float, angle: float, distance: float = 7.0) -> CullingResult:
+    """A wall, and a decal of the same colour on it, a gap behind its surface; seen straight on, under a white sky."""
+    turn = turned(angle)
+
+    def facing(x: float, y: float, side: float) -> np.ndarray:
+        square = np.array([[side, 0, 0, x], [0, 0, -side, y], [0, side, 0, 0]], float)
+        return turn @ square
+
+    placement = [(0, facing(0, distance, 12), WALL), (0, facing(0.31, distance + gap, 1.7), DECAL)]
+    camera = scenes.look_at((0, 0, 0), tuple((turn @ [0, 1, 0]).tolist()))
+    grey = [material(base_color=0.5), material(base_color=0.5)]
+    scene = scenes.build([scenes.quad()], placement, grey, camera, None, (1, 1, 1), SIZE, s.PathLimits(total=2))
+    return analyze(scene, CullOptions(width=SIZE[0], max_error=Budget(0.05, 0.2)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+@pytest.mark.parametrize("gap", [0.0, 4e-7])
+def test_a_decal_in_the_plane_of_its_wall_stays_and_it_is_said(gap: float, angle: float) -> None:
+    result = analysed(gap, angle)
+    assert result.active.all()
+    assert any("in one place" in line for line in result.warnings)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+def test_a_decal_behind_its_wall_goes_and_nothing_is_said(angle: float) -> None:
+    """At a distance that is no rounding error: a millimetre."""
+    result = analysed(1e-3, angle)
+    assert result.active.tolist() == [True, False]
+    assert not result.warnings
+
+
+def test_surfaces_that_cross_are_not_in_one_place() -> None:
+    """They share a line, which many paths come near to where there are many: blades on a lawn."""
+    rng = np.random.default_rng(5)
+    blades = []
+    for x, y in rng.uniform(-2, 2, (400, 2)):
+        blades.append((0, np.array([[0.05, 0, 0, x], [0, 0, -0.05, y], [0, 0.3, 0, 0]], float), 1))
+    ground = (0, np.array([[9.0, 0, 0, 0], [0, 9, 0, 0], [0, 0, 1, 0]]), 0)
+    scene = scenes.build(
+        [scenes.quad()],
+        [ground, *blades],
+        [material(base_color=0.5), material(base_color=0.3)],
+        scenes.look_at((0, -4, 3), (0, 0, 0)),
+        None,
+        (1, 1, 1),
+        SIZE,
+        s.PathLimits(total=2),
+    )
+    result = analyze(scene, CullOptions(width=SIZE[0], max_error=Budget(0.05, 0.2)))
+    assert not result.warnings
