@@ -144,9 +144,8 @@ class FrameTracer:
         """
         tlas = self.build(keep)
         with self.timer.step("trace_s"):
-            return self._trace(
-                self.with_only_emitters(keep), tlas, samples, first_sample, None, progress, self.size
-            ).mean
+            picture = self._trace(self.with_only_emitters(keep), tlas, samples, first_sample, None, progress, self.size)
+            return picture.mean
 
     def trace_paths(
         self, keep: np.ndarray, first_sample: int, only: NDArray[np.uint8], progress: Progress = silent
@@ -232,8 +231,7 @@ class FrameTracer:
         if self._cancelled():
             raise Cancelled
         self.rays += picture.rays
-        self.looks += picture.looks
-        self.coincident += picture.coincident
+        self.looks, self.coincident = self.looks + picture.looks, self.coincident + picture.coincident
         return picture
 
 
