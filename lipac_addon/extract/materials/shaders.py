@@ -42,6 +42,7 @@ UNSUPPORTED = {
 }
 PORTAL = "Ray Portal not rendered: what it shows from elsewhere is not known; nothing is culled"
 SCALARS = ("metallic", "alpha", "transmission")
+SHEEN = 0.15  # of what comes from anywhere, sheen reflects so much or less where it is looked at from above
 # linear in `base_color`
 TINTED = {Shader.DIFFUSE, Shader.GLOSSY, Shader.GLASS, Shader.TRANSPARENT, Shader.REFRACTION, Shader.TRANSLUCENT}
 
@@ -84,6 +85,16 @@ def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
 def node_subsurface_scattering(converter: Converter, node: Any) -> Tree:
     record = converter.diffuse(node)
     return glowing_through(record, 1.0) if converter.most else record
+
+
+def node_bsdf_sheen(converter: Converter, node: Any) -> Tree:
+    """Fibres that reflect little, but for grazing light: none of it is sure."""
+    color = converter.reader.value(node.inputs["Color"])
+    record = converter.diffuse(node)
+    converter.color(record, "base_color", converter.product(color, grey(SHEEN)))
+    if converter.most:
+        mark(record, Unsure.LIGHT)
+    return record
 
 
 def node_bsdf_diffuse(converter: Converter, node: Any) -> Records:

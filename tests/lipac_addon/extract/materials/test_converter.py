@@ -443,7 +443,7 @@ def test_what_glows_within_lights_what_is_around(kind: str, inputs: dict[str, An
     assert (within["unsure_emission"], first["emission"].any()) == (glow > 0, False)
 
 
-@pytest.mark.parametrize(("kind", "through"), [("Sheen", False), ("Toon", False), ("HairPrincipled", True)])
+@pytest.mark.parametrize(("kind", "through"), [("Toon", False), ("HairPrincipled", True)])
 def test_of_what_is_taken_for_diffuse_half_is_sure(kind: str, through: bool) -> None:
     """Half of its light is what changes are relative to; through hair light comes."""
     t = Tree()
@@ -451,6 +451,14 @@ def test_of_what_is_taken_for_diffuse_half_is_sure(kind: str, through: bool) -> 
     assert (head["alpha"], sure["unsure"], doubtful["unsure"]) == (0.5, 0, Unsure.LIGHT)
     assert (sure["shader"], doubtful["shader"]) == (Shader.DIFFUSE, Shader.TRANSLUCENT if through else Shader.DIFFUSE)
     assert len(lines) == 1
+
+
+def test_of_sheen_none_is_sure() -> None:
+    """Looked at from above it is dark."""
+    t = Tree()
+    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfSheen", {"Color": (0.8, 0.4, 0.2, 1)}))
+    np.testing.assert_allclose(record["base_color"], 0.15 * np.array((0.8, 0.4, 0.2)), rtol=1e-5)
+    assert (record["shader"], record["unsure"], len(lines)) == (Shader.DIFFUSE, Unsure.LIGHT, 1)
 
 
 @pytest.mark.parametrize("same", [False, True])
