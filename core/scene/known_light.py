@@ -14,14 +14,15 @@ from .model import Scene, Shader, Unsure
 
 
 def known_light(scene: Scene) -> Scene | None:
-    """The scene without lamps and emission that are marked as unsure, and with black in place of materials of which it
-    is not known what light they send on; None where there are none."""
+    """The scene without lamps and emission that are marked as unsure, and with nothing but its own light in place of a
+    material of which it is not known what light it sends on; None where there are none."""
     lamps, materials = scene.lights["unsure"] != 0, scene.materials["unsure_emission"] != 0
     veils = scene.materials["unsure"] & (Unsure.CLEAR | Unsure.LIGHT) != 0
+    materials |= scene.materials["unsure"] & Unsure.CLEAR != 0  # it may not be there
     if not (lamps.any() or materials.any() or veils.any()):
         return None
     dark = scene.materials.copy()
-    dark["emission"] = np.where((materials | veils)[:, None], 0, dark["emission"])
+    dark["emission"] = np.where(materials[:, None], 0, dark["emission"])
     dark["shader"] = np.where(veils, Shader.EMISSION, dark["shader"])
     dark["unsure"] = np.where(veils, 0, dark["unsure"])
     return dataclasses.replace(scene, lights=scene.lights[~lamps], materials=dark)

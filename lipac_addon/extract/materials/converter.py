@@ -98,6 +98,14 @@ class Converter:
         if value.use is not None:
             record[f"{field}_texture"] = self.textures.index(value.use)
 
+    def base(self, record: Records, socket: Any) -> None:
+        """What it reflects or lets through; where nothing says what bounds that, it is not known what light comes by
+        it."""
+        before = self.reader.doubts
+        self.color(record, "base_color", self.reader.value(socket))
+        if self.most and self.reader.doubts > before and not np.isfinite(range_of(socket)).all():
+            mark(record, Unsure.LIGHT)
+
     def scalar(self, record: Records, field: str, value: Value) -> None:
         """A scalar, its texture and the channel it reads."""
         if value.use is None:
@@ -177,7 +185,7 @@ class Converter:
         record = default_material()
         record["shader"] = shader
         before = self.reader.doubts
-        self.color(record, "base_color", self.reader.value(node.inputs["Color"]))
+        self.base(record, node.inputs["Color"])
         if shader == Shader.TRANSPARENT and self.reader.doubts > before:
             mark(record, Unsure.BEHIND | Unsure.CLEAR)
         if "Roughness" in node.inputs:

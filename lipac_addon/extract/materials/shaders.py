@@ -50,7 +50,7 @@ TINTED = {Shader.DIFFUSE, Shader.GLOSSY, Shader.GLASS, Shader.TRANSPARENT, Shade
 def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
     record = default_material()
     sockets = node.inputs
-    converter.color(record, "base_color", converter.reader.value(sockets["Base Color"]))
+    converter.base(record, sockets["Base Color"])
     converter.roughness(record, sockets["Roughness"])
     names = {"metallic": "Metallic", "alpha": "Alpha", "transmission": "Transmission Weight"}
     for field in SCALARS:
@@ -63,7 +63,8 @@ def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
         value = converter.reader.constant(sockets[name])
         record[field] = value if record[field].shape else value[0]
     converter.emit(record, sockets["Emission Color"], sockets["Emission Strength"])
-    if record["unsure"] and converter.most:  # half of it shows, at an alpha or beside a transmission that nobody knows
+    # half of it shows, at an alpha or beside a transmission that nobody knows
+    if record["unsure"] & Unsure.BEHIND and converter.most:
         doubled(record)
     converter.normal(record, node)
     if sockets["Subsurface Weight"].is_linked or sockets["Subsurface Weight"].default_value != 0:

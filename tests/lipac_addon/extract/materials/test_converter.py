@@ -453,6 +453,19 @@ def test_of_what_is_taken_for_diffuse_half_is_sure(kind: str, through: bool) -> 
     assert len(lines) == 1
 
 
+@pytest.mark.parametrize(("kind", "known"), [("Attribute", False), ("TexNoise", True), ("Wireframe", True)])
+def test_a_colour_that_may_be_anything_is_not_sure(kind: str, known: bool) -> None:
+    """By an instance's attribute; noise, which is a half on the whole, is taken for that."""
+    t = Tree()
+    source = t.new(f"ShaderNode{kind}")
+    if kind == "Attribute":
+        source.attribute_type = "INSTANCER"
+    for node in ("Principled", "Diffuse"):
+        name = "Base Color" if node == "Principled" else "Color"
+        (record,), _, lines = t.parts(t.new(f"ShaderNodeBsdf{node}", {name: source.outputs[0]}))
+        assert (record["unsure"], len(lines)) == (0 if known else Unsure.LIGHT, 1)
+
+
 def test_of_sheen_none_is_sure() -> None:
     """Looked at from above it is dark."""
     t = Tree()
