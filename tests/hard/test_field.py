@@ -36,7 +36,7 @@ def test_every_file_has_its_case() -> None:
     assert [path.stem for path in field.FIELD.glob("*.blend") if f'"{path.stem}"' not in source] == []
 
 
-def test_points_alone_are_nothing_for_the_path_tracer(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_path_tracer_shows_points_by_faces_and_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert (
         main(
             [
@@ -44,6 +44,6 @@ def test_points_alone_are_nothing_for_the_path_tracer(tmp_path: Path, capfd: pyt
                 "--resolution", "16x9", "--quiet"
             ]
         )
-        == 2
+        == 0
     )
-    assert "point cloud" in capfd.readouterr().err
+    assert "point cloud rendered as faces" in capfd.readouterr().err

@@ -135,14 +135,17 @@ def octahedra(points: F32, radius: F32, slot: int = 0) -> Fibres | None:
 
 
 def hair(item: Any) -> Fibres | None:
-    """What the hair systems of an evaluated object render as strands, in its own space; None where there is none, or
-    where the object itself is not shown.
+    """What the hair systems of an evaluated object render as strands, in its own space; None where there is none, where
+    the object itself is not shown, or where it is nowhere: its transform is not finite.
 
     Which strands, and how thick, is as in Cycles (blender/curves.cpp)."""
+    systems = strand_systems(item) if item.show_instancer_for_render else []
+    to_world = np.array(item.matrix_world, np.float64)
+    if not systems or not np.isfinite(to_world).all():
+        return None
     found = []
-    inverse = np.linalg.pinv(np.array(item.matrix_world, np.float64)[:3, :3])
-    place = np.array(item.matrix_world, np.float64)[:3, 3]
-    for system in strand_systems(item) if item.show_instancer_for_render else ():
+    inverse, place = np.linalg.pinv(to_world[:3, :3]), to_world[:3, 3]
+    for system in systems:
         settings = system.settings
         parents, children = len(system.particles), len(system.child_particles)
         first = 0 if not children or settings.use_parent_particles else parents

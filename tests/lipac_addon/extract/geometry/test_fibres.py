@@ -162,3 +162,13 @@ def test_curves_and_points_are_instances_like_others() -> None:
         "object curves: curves (hair) rendered as faces",
         "object host: point cloud rendered as faces",
     ]
+
+
+def test_hair_of_what_is_nowhere_is_left_out_with_it() -> None:
+    """A transform that is not finite: the object is left out, and that is said."""
+    ob = grown()
+    ob.location.x = float("nan")
+    add("other", cube("other"))
+    extraction = extract_frame(bpy.context.scene)
+    assert len(extraction.scene.instances) == 1
+    assert any("grown" in line and "left out" in line for line in extraction.warnings)
