@@ -21,6 +21,7 @@ from ..error_budget.units import Seen, Units, units_of
 from ..errors import InputError
 from ..feedback.path_log import PathLog
 from ..feedback.tiles import DARK, marks
+from ..files.figures import percent
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import MORE, STEEPEST, Certificate, Verdict
@@ -239,8 +240,8 @@ def _decided(
         warnings.append(
             "not within the error budget: what is left out for want of bytes or milliseconds, or was not looked at, "
             "may change the picture by "
-            f"{100 * estimate.upper_mean(verdict.confidence):.2g} % in the mean, "
-            f"{100 * estimate.upper_worst(verdict.confidence):.2g} % in the worst tile"
+            f"{percent(estimate.upper_mean(verdict.confidence))} in the mean, "
+            f"{percent(estimate.upper_worst(verdict.confidence))} in the worst tile"
         )
     elif len(steps) > 1 and not cull.any():
         warnings.append(
@@ -249,7 +250,7 @@ def _decided(
     chance = loop.tracer.coincident / max(loop.tracer.looks, 1)
     if chance > COINCIDENT:
         warnings.append(
-            f"surfaces of several objects lie in one place, on {100 * chance:.2g} % of what paths met: which of them a "
+            f"surfaces of several objects lie in one place, on {percent(chance)} of what paths met: which of them a "
             "renderer shows there is chance, and no error bound holds for it; they stay"
         )
     ids, worth = measured.tlas.ids, measured.worth
