@@ -47,3 +47,21 @@ def test_the_path_tracer_shows_points_by_faces_and_says_so(tmp_path: Path, capfd
         == 0
     )
     assert "point cloud rendered as faces" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("engine", "status"), [("path", 2), ("cycles", 0)])
+def test_nothing_that_light_paths_can_be_traced_in(
+    engine: str, status: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A volume alone: Cycles renders all there is, the path tracer refuses, and both say why."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    for item in (scene.camera, bpy.data.objects.new("Smoke", bpy.data.volumes.new("Smoke"))):
+        scene.collection.objects.link(item)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "smoke.blend"))
+    arguments = ["render", str(tmp_path / "smoke.blend"), "-o", str(tmp_path / "out"), "--engine", engine]
+    assert main([*arguments, "--cull", "light-paths", "--resolution", "16x9", "--samples", "1", "--quiet"]) == status
+    said = capfd.readouterr().err
+    assert "volume" in said
+    assert ("all is rendered" in said) == (status == 0)
