@@ -30,6 +30,7 @@ LADDER = 5  # settings of a heuristic before it is refined
 REFINEMENTS = 2  # further settings for each budget
 ORACLE_PATHS = 4  # times the judge's
 OURS, ORACLE, COUNTS, RANDOM = "light-paths", "oracle", "light-paths counts", "random"
+VERDICTS = {"holding": "holds", "surely_holding": "surely", "broken": "broken"}
 Row = dict[str, Any]
 
 
@@ -121,14 +122,16 @@ class Evaluation:
         self.pictures.append(arrays["picture"].astype(np.float32))
         return row
 
-    def changed(self, keep: np.ndarray) -> Row:
-        """Error of a set, and nothing else of it, which is much cheaper."""
+    def changed(self, keep: np.ndarray, budget: Budget) -> Row:
+        """Error of a set, and whether it holds a budget, and nothing else of it, which is much cheaper."""
 
         def compute() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-            change = self.judge.change(keep)
-            return {"mean": change.mean, "worst": change.worst}, {}
+            verdict = self.judge.verdict(keep, budget)
+            change = verdict.change
+            row = {"mean": change.mean, "worst": change.worst, "holds": change.holds(budget)}
+            return row | {"surely": verdict.surely, "broken": verdict.broken, "judged_by": verdict.samples}, {}
 
-        return self.store.get("change by " + _name_of(keep), compute)[0]
+        return self.store.get(f"change by {_name_of(keep)} for {budget}", compute)[0]
 
     def _judged(self, keep: np.ndarray) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         def compute() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -296,8 +299,8 @@ def at_equal_error(rows: list[Row]) -> list[Row]:
 
 
 def budget_check(evaluation: Evaluation, seeds: int, progress: Progress = silent) -> Row:
-    """Whether the measured error stays in the budgets, for analyses with other random numbers: cases, how many hold,
-    and each of them."""
+    """Whether the measured error stays in the budgets, for analyses with other random numbers: cases, how many hold, do
+    so surely, and surely do not, and each of them."""
     cases = []
     for seed in range(1, seeds + 1):
         for k, budget in enumerate(budgets()):
@@ -310,12 +313,12 @@ def budget_check(evaluation: Evaluation, seeds: int, progress: Progress = silent
                 threads=evaluation.settings.threads,
             )
             stats, arrays = evaluation.analysis(options)
-            row = evaluation.changed(arrays["active"])
-            case: Row = {"seed": seed, "error": budget.mean, "holds": holds(row, budget)} | row
+            case: Row = {"seed": seed, "error": budget.mean} | evaluation.changed(arrays["active"], budget)
             cases.append(
                 case | {key: stats[key] for key in ("active", "blas_bytes", "certified_mean", "certified_worst")}
             )
-    return {"seeds": seeds, "cases": len(cases), "holding": sum(c["holds"] for c in cases), "each": cases}
+    totals = {name: sum(c[key] for c in cases) for name, key in VERDICTS.items()}
+    return {"seeds": seeds, "cases": len(cases), **totals, "each": cases}
 
 
 def ray_budget(evaluation: Evaluation, progress: Progress = silent) -> list[Row]:
@@ -332,9 +335,7 @@ def ray_budget(evaluation: Evaluation, progress: Progress = silent) -> list[Row]
             evaluation.settings.options, max_error=budget, min_share=None, paths=paths, hitbox_every=every, seed=1
         )
         stats, arrays = evaluation.analysis(options)
-        row = evaluation.changed(arrays["active"])
-        out.append(
-            {"paths": paths, "hitbox_every": every, "holds": holds(row, budget), "analysis_s": seconds(stats)} | row
-        )
+        row = evaluation.changed(arrays["active"], budget)
+        out.append({"paths": paths, "hitbox_every": every, "analysis_s": seconds(stats)} | row)
         out[-1] |= {key: stats[key] for key in ("iterations", "rays", "active", "blas_bytes")}
     return out

@@ -47,7 +47,8 @@ def search(
 
     worth (A, T), ids (A,): `Judge.exhaustive_weights`. proposals: sets (N,) bool to start from too.
     """
-    trial = PathLog.zeros(*judge.log.luminance.shape)
+    paths_of = judge.passes[0]
+    trial = PathLog.zeros(*paths_of.log.luminance.shape)
     savings = Savings.among(judge.scene.instances.mesh[ids], judge.loop.blas.counted_bytes)
     units = Units.single(worth)
 
@@ -59,14 +60,14 @@ def search(
     def without(cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
         keep = kept(cull)
         judge.loop.tracer.trace_without(
-            judge.tlas, judge.first_sample, keep, judge.loop.tracer.build(keep), only, trial
+            judge.tlas, paths_of.first_sample, keep, judge.loop.tracer.build(keep), only, trial
         )
         return trial
 
     def thinned_out(first: np.ndarray | None, progress: Progress) -> np.ndarray:
         for share in SHARES:  # a search adds the confidence of its measurement to the tiles alone, not to their mean
             within = Budget(share * budget.mean, budget.worst)
-            paths = Trial(judge.reference, judge.log.copy(np.ones(judge.log.shape, np.uint8)), without)
+            paths = Trial(paths_of.reference, paths_of.log.copy(np.ones(paths_of.log.shape, np.uint8)), without)
             found = Search([paths], units, savings, within, first, paths=PATHS, confidence=CONFIDENCE).run(progress)
             keep = kept(found[-1].cull)
             if judge.change(keep).surely_holds(budget):

@@ -14,7 +14,7 @@ from lipac.core.culling.policies import RULES
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation import judge as judge_module
 from lipac.core.evaluation.evaluate import BUDGETS, OURS, Evaluation, Settings, Store, at_equal_error, holds
-from lipac.core.evaluation.judge import Judge, picture_change
+from lipac.core.evaluation.judge import PASSES, Judge, picture_change
 from lipac.core.evaluation.oracle import retained, search
 from lipac.core.scene import model as s
 
@@ -66,7 +66,7 @@ def test_the_culled_picture_is_that_of_a_whole_trace(judge: Judge) -> None:
     """Only paths that met something culled are traced again; the rest of the picture is the full one's. Tolerance:
     float32 sums in another order."""
     keep = without(SEEN)
-    whole = judge.loop.tracer.trace_again(keep, judge.first_sample, judge.samples)
+    whole = judge.loop.tracer.trace_again(keep, judge.passes[0].first_sample, judge.samples)
     np.testing.assert_allclose(judge.picture(keep), whole, rtol=1e-4, atol=1e-5)
     mean, worst = picture_change(judge.full, whole)  # by tiles' luminance, noise included
     change = judge.change(keep)
@@ -86,6 +86,22 @@ def test_confidence_interval_covers_the_truth(monkeypatch: pytest.MonkeyPatch) -
         assert change.worst > 0
         covered += abs(change.worst - truth[change.tiles.argmax()]) <= 1.96 * change.worst_deviation
     assert covered >= 15
+
+
+def test_a_verdict_takes_as_many_paths_as_it_needs() -> None:
+    """Passes add up to one judge of as many paths, to the rounding of sums; what is far from the budget is told by
+    one."""
+    keep, few = without(SEEN), Judge(stage(), 4)
+    many = Judge(stage(), 4 * PASSES).change(keep)
+    near = few.verdict(keep, Budget(many.mean, many.worst))
+    assert near.samples == 4 * PASSES
+    np.testing.assert_allclose(near.change.tiles, many.tiles, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(near.change.deviation, many.deviation, rtol=1e-6)
+    assert not near.surely and not near.broken
+    far = few.verdict(keep, Budget(0.1 * many.mean, 0.1 * many.worst))
+    assert far.broken and not far.surely and far.samples < near.samples
+    wide = few.verdict(keep, Budget(10 * many.mean, 10 * many.worst))
+    assert wide.surely and not wide.broken and wide.samples == 4
 
 
 def test_cost_counts_a_shared_mesh_once(judge: Judge) -> None:
