@@ -13,7 +13,6 @@ import argparse
 import itertools
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -28,6 +27,7 @@ from ....core.evaluation.judge import picture_change
 from ....core.evaluation.metrics import flicker
 from ....core.feedback.tiles import tile_means
 from .clock import RATE, ROUNDS, Clock, look, rounds, settle
+from .drawn import Viewport
 
 if TYPE_CHECKING:
     from ....lipac_addon.ui.jobs.viewport_switches import OutSet
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 SIZE, SAMPLES = (160, 90), 8
 FRAMES = (40, 110)  # with the turn around the corner, a cut away and the cut back
 DRAWN_EVERY, CUTS = 5, (91, 103)  # frames that the viewport draws, too, and the first ones after a cut
-SETTLED = 3  # successive pictures that are the same, after which all shaders are there
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -98,50 +97,6 @@ def without(out: OutSet, places: dict[int, F32]) -> Iterator[None]:
         ob.hide_render = False
 
 
-class Viewport:
-    """A viewport in Rendered shading that looks through the camera, drawn into memory."""
-
-    def __init__(self) -> None:
-        import bpy
-        import gpu
-
-        gpu.init()
-        window = bpy.context.window_manager.windows[0]
-        area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-        self.space = area.spaces.active
-        self.region = next(region for region in area.regions if region.type == "WINDOW")
-        self.space.overlay.show_overlays = False
-        self.target = gpu.types.GPUOffScreen(*SIZE, format="RGBA32F")
-
-    def picture(self) -> F32:
-        """(height, width, 3) float32, linear, rows bottom up: drawn until all shaders are compiled."""
-        import bpy
-
-        bpy.context.scene.render.engine = "BLENDER_EEVEE"
-        last, same = np.zeros((0, 0, 3), np.float32), 0
-        while same < SETTLED:
-            now = self._drawn()
-            same = same + 1 if now.any() and np.array_equal(now, last) else 0
-            last = now
-            if not same:
-                time.sleep(0.2)  # for the threads that compile
-        return last
-
-    def _drawn(self) -> F32:
-        import bpy
-        import gpu
-
-        layer, camera = bpy.context.view_layer, bpy.context.scene.camera
-        layer.update()
-        view = camera.evaluated_get(layer.depsgraph).matrix_world.inverted()
-        projection = camera.calc_matrix_camera(layer.depsgraph, x=SIZE[0], y=SIZE[1])
-        scene, space = bpy.context.scene, self.space
-        self.target.draw_view3d(scene, layer, space, self.region, view, projection, do_color_management=False)
-        with self.target.bind():
-            buffer = gpu.state.active_framebuffer_get().read_color(0, 0, *SIZE, 4, 0, "FLOAT")
-        return np.array(buffer.to_list(), np.float32)[:, :, :3]
-
-
 @dataclass
 class Flight:
     """Pictures in full and culled, by Cycles and as drawn, rows of the scatter that were there, and changes of the
@@ -170,7 +125,7 @@ def flight(instances: int, frames: range, drawn: Sequence[int]) -> Flight:
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = SAMPLES, False, False
     scene.cycles.seed, scene.cycles.use_animated_seed = 0, False
     look()
-    viewport = Viewport() if drawn else None
+    viewport = Viewport(SIZE) if drawn else None
     sets = dict(zip(frames, flown(out), strict=True))
     with tempfile.TemporaryDirectory() as folder:
         for frame in frames:
