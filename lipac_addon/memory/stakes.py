@@ -27,10 +27,15 @@ class NothingToWin(Exception):
 
     def __init__(self, stakes: Stakes, seconds: float) -> None:
         self.seconds = seconds
-        super().__init__(
-            f"nothing is culled: with {stakes.instances:,} instances ({size(stakes.saved)}) and {stakes.paths:,} paths "
-            f"of a picture that would save less than the {stakes.analysed:,} paths of an analysis take"
-        )
+        super().__init__(f"nothing is culled: {why(stakes)}")
+
+
+def why(stakes: Stakes) -> str:
+    """Why nothing can be won."""
+    return (
+        f"with {stakes.instances:,} instances ({size(stakes.saved)}) and {stakes.paths:,} paths of a picture that "
+        f"would save less than the {stakes.analysed:,} paths of an analysis take"
+    )
 
 
 def weigh(reader: GraphReader, nodes: Sequence[Node], scene: bpy.types.Scene) -> tuple[NamedCosts, Rows]:

@@ -38,7 +38,7 @@ class LIPAC_OT_analyze(_Analysis, bpy.types.Operator):
     def success_message(self) -> str:
         culled = [int(r.culled.sum()) for r in self.job.results.values()]
         total = [len(r.culled) for r in self.job.results.values()]
-        needs = f"The picture needs {sum(total) - sum(culled):,} of {sum(total):,} instances"
+        needs = f"The picture needs {sum(total) - sum(culled):,} of {sum(total):,} instances{_futile(self.job)}"
         return f"{needs}. {analysis.LOST}" if self.job.lost else needs
 
     def needs_undo_step(self) -> bool:
@@ -58,7 +58,7 @@ class LIPAC_OT_bake_shot(_Analysis, bpy.types.Operator):
 
     def success_message(self) -> str:
         kept, total = self.job.baked
-        return f"The shot needs {kept:,} of {total:,} instances"
+        return f"The shot needs {kept:,} of {total:,} instances{_futile(self.job)}"
 
     def needs_undo_step(self) -> bool:
         return self.job.was_applied or self.job.baked is not None
@@ -211,6 +211,12 @@ class LIPAC_OT_clear_cache(Explained, bpy.types.Operator):
     def execute(self, _context: bpy.types.Context) -> set[str]:
         self.report({"INFO"}, f"Removed {kernel_folder.clear() / 1e6:.0f} MB of compiled kernels")
         return {"FINISHED"}
+
+
+def _futile(done: AnalysisJob) -> str:
+    """A sentence more where no frame could win anything."""
+    found = [result.futile for result in done.results.values()]
+    return f". {found[0]}" if found and all(found) else ""
 
 
 def _unanalyzed(context: bpy.types.Context) -> str:

@@ -37,6 +37,8 @@ def draw_running(layout: bpy.types.UILayout, running: job.Job) -> None:
     row.progress(factor=running.progress, text=f"{100 * running.progress:.0f} %")
     row.operator(LIPAC_OT_cancel.bl_idname, icon="CANCEL")
     write(layout, running.line)
+    if running.note:
+        write(layout, running.note)
     if running.compiled:
         write(layout, f"Compiling, once: {running.compiled} kernels so far")
 

@@ -29,6 +29,8 @@ def verdict(scene: bpy.types.Scene) -> list[str]:
     if measured is not None:
         full_s, culled_s = measured.seconds
         said.append(f"Renders in {culled_s:.1f} s instead of {full_s:.1f} s")
+    elif result.futile:
+        said.append(result.futile)
     return said
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Generator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -10,8 +11,10 @@ from typing import TYPE_CHECKING
 
 import bpy
 
+from ....core.culling.policies import LIGHT_PATHS
 from ....core.errors import InputError
 from ....core.files.memory_table import merged
+from ...depsgraph import rendered_layers
 from ...keys import any_of
 from ..state import applying, props, results, scatters, session
 from . import engine
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
     from ....core.arrays import Records
     from ....core.culling.shot import Shot
     from ...extract import Extraction, Extractor
+    from ...extract.graph import GraphReader
+    from ...extract.graph_items import Node
 
 
 LOST = "Nothing is hidden from renders any more"
@@ -170,7 +175,8 @@ class AnalysisJob(Job):
         )
         self._check()
         memory = tuple(merged(Weighed.of(extraction, result, number, scene).rows()))
-        return replace(results.FrameResult.of(number, extraction, uids, result, pinned), prints=prints, memory=memory)
+        found = results.FrameResult.of(number, extraction, uids, result, pinned)
+        return replace(found, prints=prints, memory=memory, futile=self.note)
 
     def _exposed(self, shot: Shot, extraction: Extraction, number: int) -> Generator[None, None, list[Records]]:
         """Keys of what the frame needs at other moments of its exposure, a part for each."""
@@ -192,9 +198,31 @@ class AnalysisJob(Job):
 
         self._extractor = self._extractor or Extractor(scene)
         self._extractor.follow(scene)
-        layers = [layer.name for layer in scene.view_layers if layer.use]
-        extraction = self._extractor.frame(number, keep=False)
+        self.note = ""
+        layers = rendered_layers(scene)
+        look = partial(self._weigh, time.perf_counter()) if len(layers) == 1 and _is_known(scene) else None
+        extraction = self._extractor.frame(number, keep=False, look=look)
         if len(layers) > 1:
             line = f"only view layer '{layers[0]}' was analysed: what others alone show may be culled"
             extraction = replace(extraction, warnings=(*extraction.warnings, line))
         return extraction
+
+    def _weigh(self, start: float, reader: GraphReader, nodes: Sequence[Node]) -> None:
+        """Note where culling can save less than the analysis takes, as commands say it before they render without one:
+        here it was asked for. start: `time.perf_counter()` when the frame was begun."""
+        from ...memory.stakes import stakes_of, why
+
+        scene, spent = self._scene(), time.perf_counter() - start
+        options = props.cull_options(scene.lipac)
+        stakes = stakes_of(reader, nodes, scene, options, scene.cycles.samples, len(self._frames), spent)
+        if stakes is not None and stakes.nothing_to_win:
+            self.note = f"Nothing can be won: {why(stakes)}"
+
+
+def _is_known(scene: bpy.types.Scene) -> bool:
+    """Whether a scene is analysed, and rendered, by what costs are known of: light paths, and Cycles on the CPU."""
+    from ...batch.engines.choices import AS_SET, CPU
+    from ...batch.engines.devices import find_device
+
+    by_cycles = scene.lipac.policy == LIGHT_PATHS and scene.render.engine == "CYCLES"
+    return by_cycles and find_device(scene, AS_SET).kind == CPU

@@ -20,15 +20,16 @@ class Job:
     """Work for a scene that takes long: `_work` does it in small steps on the main thread, and waits for threads and
     other processes in between.
 
-    progress: 0 to 1; message: what is being done; error: why it ended without a result, "" where it did not; done: it
-    has ended; cancelled: it was asked to. compiled: kernels that were compiled meanwhile, which takes a minute, once.
+    progress: 0 to 1; message: what is being done; note: what the user may want to know meanwhile; error: why it ended
+    without a result, "" where it did not; done: it has ended; cancelled: it was asked to. compiled: kernels that were
+    compiled meanwhile, which takes a minute, once.
     """
 
     CANCELLED: ClassVar[str]
     FAILED: ClassVar[str]  # what the user is told of an error of ours
 
     def __init__(self, scene: bpy.types.Scene, message: str) -> None:
-        self.progress, self.message, self.error = 0.0, message, ""
+        self.progress, self.message, self.note, self.error = 0.0, message, "", ""
         self.done = self.cancelled = False
         self.compiled, self._kernels, self._looked = 0, kernel_folder.count(), time.monotonic()
         self._uid = scene.session_uid

@@ -48,7 +48,8 @@ class FrameResult:
     boxes, `origin` (3,) float64 to be added. stats: figures as in report.json. warnings: lines for the user. Of objects
     that instance by geometry nodes, by their uids: scatters, (R, 3) float32, where their rows are, in their own space;
     prints: digests of what the viewport showed of them. memory: who takes the memory of a render, as of memory.csv.
-    tiles: (TILES,) float32, by how much each tile of the picture changes at most, where that is certified.
+    tiles: (TILES,) float32, by how much each tile of the picture changes at most, where that is certified. futile: why
+    culling can save less of a render than the analysis took, "" where it may save more, or that is not known.
     """
 
     frame: int
@@ -66,6 +67,7 @@ class FrameResult:
     prints: dict[int, bytes] = field(default_factory=dict)
     memory: tuple[MemoryRow, ...] = ()
     tiles: F32 | None = None
+    futile: str = ""
     _reasons: dict[str, Reason] = field(default_factory=dict)
 
     @staticmethod

@@ -12,6 +12,7 @@ import pytest
 from lipac.core.culling import analysis
 from lipac.core.culling.options import CullOptions
 from lipac.core.files.report import Report, load_states
+from lipac.core.scene import render_costs
 from lipac.core.scene.render_costs import Stakes
 from lipac.lipac_addon.batch.engines.choices import DeviceChoice
 from lipac.lipac_addon.batch.job import Job
@@ -46,6 +47,7 @@ def test_the_frame_is_what_it_is_with_nothing_culled(
     boxes: bpy.types.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(analysis, "decide", lambda *_: 1 / 0)
+    monkeypatch.setattr(render_costs, "LOADING_S", 60.0)  # however busy the machine is
     entry = rendered(tmp_path / "small")
     assert entry["not_analysed"].startswith("nothing is culled: with 10 instances (")
     assert (entry["instances"], entry["active"], entry["paths"]) == (10, 10, 0)
