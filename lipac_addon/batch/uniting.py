@@ -32,6 +32,7 @@ from .shot_set import ShotSet
 
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
+    from ...core.culling.shot import How
 
 STRIDE = 8  # frames from one that proposes to the next
 # What a frame has to say in a set; analyses of the first two have files of that kind
@@ -57,6 +58,38 @@ def middles(failing: Sequence[int], frames: Sequence[int], level: dict[int, int]
         else:
             runs.append([frame])
     return [min(run, key=lambda frame: (level.get(frame, 0), abs(run.index(frame) - len(run) // 2))) for run in runs]
+
+
+def deciding(how: How) -> Decide:
+    """A decision of the frame that was extracted, by how."""
+
+    def decide(session: Session, extraction: Extraction, within: Progress, cancelled: Cancel) -> CullingResult:
+        return session.decide(extraction, None, within, cancelled, how)
+
+    return decide
+
+
+def judging(together: ShotSet, earlier: int, held: list[bool], own: bool) -> Decide:
+    """A decision that judges a set in the frame that was extracted, and appends to held whether it keeps the budget.
+    earlier: how many sets the frame has judged before; own: whether the frame itself has had its say in this one."""
+    from ...core.culling import union
+
+    def judge(session: Session, extraction: Extraction, within: Progress, cancelled: Cancel) -> CullingResult:
+        active, met = together.found(extraction.keys)
+        faces = together.faces_of(extraction.keys, active)
+
+        def how(loop: Any, progress: Progress) -> CullingResult:
+            try:
+                found = union.check(loop, active, met, faces, earlier, progress)
+            except ValueError:  # other faces than in the frames that chose them
+                found = replace(union.check(loop, active, met, {}, earlier, progress), holds=False)
+            # a picture without anything is no picture, whatever the paths say, until the frame itself has said so
+            held.append(found.holds and (bool(active.any()) or own))
+            return found.result
+
+        return session.decide(extraction, None, within, cancelled, how)
+
+    return judge
 
 
 class Uniting:
@@ -145,11 +178,7 @@ class Uniting:
             return replace(states, state=np.full(len(states.state), State.ACTIVE, np.uint8), faces={})
         from ...core.culling import union
 
-        how = union.propose if level == PROPOSED else union.decide_closer
-
-        def decide(session: Session, extraction: Extraction, within: Progress, cancelled: Cancel) -> CullingResult:
-            return session.decide(extraction, None, within, cancelled, how)
-
+        decide = deciding(union.propose if level == PROPOSED else union.decide_closer)
         path = self.job.analysis(frame, _KINDS[level])
         return self._kept(path, frame, lambda: self._decided(frame, decide, progress), lambda _note: True)
 
@@ -161,7 +190,7 @@ class Uniting:
 
         def made() -> Decided:
             held: list[bool] = []
-            decided = self._decided(frame, self._judge(frame, together, earlier, held), progress)
+            decided = self._decided(frame, judging(together, earlier, held, frame in self.level), progress)
             active, _ = together.found(decided.keys)
             untouched = roles.untouched(decided.keys)
             active |= False if untouched is None else untouched
@@ -173,26 +202,6 @@ class Uniting:
 
         states = self._kept(path, frame, made, lambda note: note.get("set") == digest)
         return bool(json.loads(states.note)["holds"])
-
-    def _judge(self, frame: int, together: ShotSet, earlier: int, held: list[bool]) -> Decide:
-        from ...core.culling import union
-
-        def judge(session: Session, extraction: Extraction, within: Progress, cancelled: Cancel) -> CullingResult:
-            active, met = together.found(extraction.keys)
-            faces = together.faces_of(extraction.keys, active)
-
-            def how(loop: Any, progress: Progress) -> CullingResult:
-                try:
-                    found = union.check(loop, active, met, faces, earlier, progress)
-                except ValueError:  # other faces than in the frames that chose them
-                    found = replace(union.check(loop, active, met, {}, earlier, progress), holds=False)
-                # a picture without anything is no picture, whatever the paths say, until the frame itself has said so
-                held.append(found.holds and (bool(active.any()) or frame in self.level))
-                return found.result
-
-            return session.decide(extraction, None, within, cancelled, how)
-
-        return judge
 
     def _decided(self, frame: int, decide: Decide, progress: Progress) -> Decided:
         check(self._cancelled)

@@ -1,4 +1,8 @@
-"""Step `analyze`: what each frame of a chunk needs by itself."""
+"""Step `analyze`: what each frame of a chunk wants of the shot's set.
+
+A frame proposes more than it needs, by few paths, as every eighth does for `lipac render --bake shot`: what all have
+proposed is judged in each of them (step `judge`), by paths that chose nothing of it.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,8 @@ from ...core.files.usage import peak_memory
 from ...core.progress import Progress, part, silent
 from ..batch.deciding import decide_layers
 from ..batch.job import Cancel, Job, check, never
-from ..batch.session import sessions_of
+from ..batch.session import Decide, sessions_of
+from ..batch.uniting import deciding
 from .layout import FarmShot
 from .opening import open_shot
 
@@ -29,11 +34,13 @@ Place = Callable[[int], Path]
 def analyse(
     shot: FarmShot, frames: Iterable[int], threads: int = 0, progress: Progress = silent, cancelled: Cancel = never
 ) -> int:
-    """Save what frames need that are not analysed yet; returns how many were. Raises InputError, Cancelled."""
+    """Save what frames propose that are not analysed yet; returns how many were. Raises InputError, Cancelled."""
     todo = [frame for frame in frames if note_of(shot.analysis(frame)).get("key") != shot.key]
     if todo:
+        from ...core.culling.union import propose
+
         open_shot(shot)
-        decide_frames(shot, todo, shot.options(threads), shot.analysis, progress, cancelled)
+        decide_frames(shot, todo, shot.options(threads), shot.analysis, progress, cancelled, deciding(propose))
     return len(todo)
 
 
@@ -44,9 +51,10 @@ def decide_frames(
     place: Place,
     progress: Progress = silent,
     cancelled: Cancel = never,
+    decide: Decide | None = None,
 ) -> None:
-    """Decide frames of the open scene, each by itself, and save each where `place` says. Raises InputError,
-    Cancelled."""
+    """Decide frames of the open scene, each by itself, and save each where `place` says. decide: by default, what the
+    frame needs. Raises InputError, Cancelled."""
     job = Job(shot.folder, tuple(frames), options)
     place(frames[0]).parent.mkdir(parents=True, exist_ok=True)
     sweep(place(frames[0]).parent, {place(frame).stem for frame in frames})
@@ -56,7 +64,7 @@ def decide_frames(
             check(cancelled)
             begin = time.perf_counter()
             within = part(progress, k / len(frames), (k + 1) / len(frames), f"frame {frame}: ")
-            decided = decide_layers(sessions, frame, frame == frames[-1], within, cancelled)
+            decided = decide_layers(sessions, frame, frame == frames[-1], within, cancelled, decide)
             said = {"approximated": decided.approximated, "warnings": decided.warnings}
             took = {"seconds": time.perf_counter() - begin, "peak_bytes": peak_memory()}
             note = (

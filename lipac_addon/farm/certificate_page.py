@@ -13,6 +13,7 @@ from ...page.verdict import BAD, GOOD, Verdict
 STEPS_OF_SHOT = {
     "analysis": ("analysis", "analysis"),
     "unite": ("union", "unite"),
+    "judgement": ("judgement by paths", "judgement"),
     "render": ("render, culled", "render"),
     "verify": ("verification", "crops_full"),
 }
@@ -44,7 +45,8 @@ def verdict(certificate: dict[str, Any]) -> Verdict:
     """What the page says first."""
     if certificate["broken"]:
         return Verdict(BAD, "Above the error budget, where it was measured", tuple(certificate["statement"]))
-    return Verdict(GOOD, "Within the error budget, where it was measured", tuple(certificate["statement"]))
+    within = "Certified in every frame, and within the error budget where it was measured"
+    return Verdict(GOOD, within, tuple(certificate["statement"]))
 
 
 def worst_of(certificate: dict[str, Any]) -> int | None:
@@ -76,16 +78,16 @@ def _curves(certificate: dict[str, Any]) -> list[tuple[str, str]]:
     def dots(label: str, found: list[tuple[int, dict[str, Any]]]) -> Curve:
         return Curve(label, [n for n, _ in found], [100 * a["verified_mean"] for _, a in found], dots=True)
 
-    own = [frame for frame in frames if frame["analysis"]["certified_mean"] is not None]
-    certified = [100 * frame["analysis"]["certified_mean"] for frame in own]
+    certified = [100 * frame["certified"]["mean"] for frame in frames]
     change = [
         Curve("allowed", ends, [100 * bound] * 2, bound=True),
         dots("verified, as delivered", last),
-        Curve("certified of each frame's own set", [frame["frame"] for frame in own], certified),
+        Curve("certified, as delivered", numbers, certified),
         dots("verified, before it was mended", tried),
     ]
-    active = [Curve("what each frame needs", numbers, [frame["analysis"]["active"] for frame in frames])]
-    seconds = [Curve(name, numbers, [frame[name]["seconds"] for frame in frames]) for name in ("analysis", "render")]
-    titles = ("Mean change of the picture, by frame", "Instances that each frame needs", "Seconds, by frame")
+    active = [Curve("what each frame proposes", numbers, [frame["analysis"]["active"] for frame in frames])]
+    steps = ("analysis", "judgement", "render")
+    seconds = [Curve(name, numbers, [frame[name]["seconds"] for frame in frames]) for name in steps]
+    titles = ("Mean change of the picture, by frame", "Instances that each frame proposes", "Seconds, by frame")
     drawn = zip(titles, (change, active, seconds), ("per cent", "instances", "seconds"), strict=True)
     return [(title, curves([line for line in lines if line.x], what)) for title, lines, what in drawn]

@@ -130,6 +130,15 @@ class FarmShot:
         """Which set that is."""
         return self.folder / "shot.json"
 
+    @property
+    def set(self) -> Path:
+        """The set itself, as a file of states."""
+        return self.folder / "shot.npz"
+
+    def judged(self, frame: int) -> Path:
+        """Whether that set keeps the budget in a frame."""
+        return self.folder / "judged" / f"frame_{frame:04}.json"
+
     def picture(self, frame: int) -> Path:
         """Of a frame, as it is delivered."""
         return self.folder / "pictures" / f"frame_{frame:04}{self.ending}"

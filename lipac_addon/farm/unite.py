@@ -42,6 +42,8 @@ def unite(shot: FarmShot, progress: Progress = silent, cancelled: Cancel = never
     together = united(shot, parts_of(shot), progress)
     chosen = digest_of(together)
     known = read_json(shot.united, key=shot.key, set=chosen)
+    if note_of(shot.set).get("set") != chosen:
+        save_set(shot.set, together, {"key": shot.key, "set": chosen})
     if known is not None and is_whole(shot.culled) and shot.culled.stat().st_size == known["blend_bytes"]:
         return known
     check(cancelled)
@@ -71,13 +73,28 @@ def unite_chunk(shot: FarmShot, frames: Sequence[int]) -> None:
     path, of = shot.chunk(frames), [contents(shot.analysis(frame)) for frame in frames]
     if len(frames) < 2 or note_of(path).get("of") == of:
         return
-    together = united(shot, map(shot.analysis, frames))
-    n, keys = len(together.active), together.keys
+    save_set(path, united(shot, map(shot.analysis, frames)), {"key": shot.key, "of": of})
+
+
+def save_set(path: Path, together: ShotSet, note: dict[str, Any]) -> None:
+    """Save a set as a file of states, in which what was met has a hit."""
+    keys, hits = together.keys, together.met.astype(np.int64)[:, None]
     state = np.where(together.active, np.uint8(State.ACTIVE), np.uint8(State.CULLED))
-    nothing = np.zeros(n, np.float32), np.zeros((n, 0), np.int64)
-    note = json.dumps({"key": shot.key, "of": of})
+    score = np.zeros(len(state), np.float32)
     sweep(path.parent, {path.stem})
-    save_states(path, state, *nothing, keys.records, keys.names, note, faces=together.faces)
+    save_states(path, state, score, hits, keys.records, keys.names, json.dumps(note), faces=together.faces)
+
+
+def set_of(shot: FarmShot) -> tuple[ShotSet, str]:
+    """The shot's set, and its digest. Raises InputError where there is none, or not of the analyses that are there."""
+    chosen = (read_json(shot.united, key=shot.key) or {}).get("set")
+    if chosen is None:
+        raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
+    together = ShotSet()
+    if note_of(shot.set).get("set") != chosen:
+        raise InputError(f"{shot.set} is missing or damaged: run lipac shot unite {shot.folder} again")
+    together.add(load_states(shot.set))
+    return together, str(chosen)
 
 
 def parts_of(shot: FarmShot) -> list[Path]:

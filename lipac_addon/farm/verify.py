@@ -1,9 +1,6 @@
-"""Step `verify`: what culling changes in a frame of the sample, against the full scene; and a larger set for the frames
-around it where that is too much.
-
-The set of a shot is a union of sets that were certified frame by frame. A union keeps more than each of them, but is
-not itself certified: what an instance adds is not always towards the full picture. So frames are measured as they are
-delivered, by the Blender that renders them.
+"""Step `verify`: what culling changes in a frame of the sample, against the full scene, by the Blender that renders;
+and a larger set for the frames around it where that is too much, or where paths do not certify the shot's set in one of
+them.
 """
 
 from __future__ import annotations
@@ -15,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from ...core.error_budget.budget import Budget
-from ...core.errors import InputError
 from ...core.progress import Progress, part, silent
 from ..batch.job import Cancel, check, never
 from ..batch.verify import change, random_crops
 from .analyse import decide_frames, note_of
 from .children import crops_of, render
+from .judge import FIGURES, chosen_of, judged, of_frames
 from .layout import FarmShot, read_json, rendered_from, write_json
 from .opening import open_shot
 from .unite import parts_of, save_culled, united
@@ -39,14 +36,13 @@ def verify(
 ) -> dict[str, Any]:
     """Verify a frame of the sample, by its number from 1, and mend its span; returns what was found, which is kept.
     Raises InputError, Cancelled."""
-    chosen = (read_json(shot.united, key=shot.key) or {}).get("set")
+    chosen, span = chosen_of(shot), shot.span(number)
     known = read_json(shot.verified(number), key=shot.key, set=chosen)
     if known is not None and all(
-        rendered_from(shot, frame, str(chosen)) == known["attempts"][-1]["mended"] for frame in shot.span(number)
+        rendered_from(shot, frame, chosen) == known["attempts"][-1]["mended"] for frame in span
     ):
         return known
-    if chosen is None:
-        raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
+    told = of_frames(shot, span)
     start, frame = time.perf_counter(), shot.checked(number)
     crops = random_crops(shot.crops, shot.seed + frame)
     with tempfile.TemporaryDirectory(prefix="lipac") as temporary:
@@ -58,25 +54,30 @@ def verify(
             check(cancelled)
             within = part(progress, (attempt + 1) / (MENDS + 2), (attempt + 2) / (MENDS + 2), f"frame {frame}: ")
             budget = shot.budget if not attempt else tighter(shot.budget, attempts[-1], attempt)
-            file = shot.culled if not attempt else mend(shot, number, attempt, budget, threads, within, cancelled)
+            file = shot.culled
+            if attempt:
+                file, told = mend(shot, number, attempt, budget, threads, within, cancelled)
             culled, taken = crops_of(shot, frame, file, crops, place / str(attempt), blender, cancelled)
             found = change(full, culled, crops)
             broken = found.breaks(shot.budget)
             name = "" if not attempt else ALL if attempt == MENDS else file.stem
-            attempts.append(
-                {**found.entry(), "mended": name, "broken": broken, "max_error": [budget.mean, budget.worst], **taken}
-            )
-            if not broken:
+            paths = {
+                "uncertified": [one["frame"] for one in told if not one["holds"]],
+                "certified": [[one["certified_mean"], one["certified_worst"]] for one in told],
+            }
+            asked = {"mended": name, "broken": broken, "max_error": [budget.mean, budget.worst]}
+            attempts.append({**found.entry(), **asked, **paths, **taken})
+            if not broken and not paths["uncertified"]:
                 break
     last = attempts[-1]
     if last["mended"]:
         progress(0.9, f"rendering frames around {frame} again")
-        render(shot, shot.span(number), blender, file, last["mended"], cancelled)
+        render(shot, span, blender, file, last["mended"], cancelled)
     kept = {
         "key": shot.key,
         "set": chosen,
         "frame": frame,
-        "span": [shot.span(number)[0], shot.span(number)[-1]],
+        "span": [span[0], span[-1]],
         "attempts": attempts,
     }
     entry = {**kept, "max_error": [shot.mean, shot.worst], "full": in_full, "seconds": time.perf_counter() - start}
@@ -98,11 +99,12 @@ def tighter(budget: Budget, found: dict[str, Any], attempt: int) -> Budget:
 
 def mend(
     shot: FarmShot, number: int, attempt: int, budget: Budget, threads: int, progress: Progress, cancelled: Cancel
-) -> Path:
+) -> tuple[Path, list[dict[str, Any]]]:
     """A file with what the shot's set has, and what the span's frames need by a smaller budget; at the last attempt the
-    scene itself."""
+    scene itself. And what paths say of it in these frames."""
     if attempt == MENDS:
-        return shot.scene
+        nothing = {"holds": True, **dict.fromkeys(FIGURES, 0.0)}
+        return shot.scene, [{"frame": frame, **nothing} for frame in shot.span(number)]
     file, span = shot.mended(number, attempt), shot.span(number)
 
     def place(frame: int) -> Path:
@@ -115,14 +117,17 @@ def mend(
         for frame in span
         if any(note_of(place(frame)).get(name) != value for name, value in (("key", shot.key), ("max_error", asked)))
     ]
+    half = part(progress, 0.0, 0.5)
     if todo:
-        decide_frames(shot, todo, replace(shot.options(threads), max_error=budget), place, progress, cancelled)
-    save_culled(united(shot, [*parts_of(shot), *map(place, span)]), file)
-    return file
+        decide_frames(shot, todo, replace(shot.options(threads), max_error=budget), place, half, cancelled)
+    together = united(shot, [*parts_of(shot), *map(place, span)])
+    found = list(judged(shot, together, span, attempt, threads, part(progress, 0.5, 1.0), cancelled))
+    save_culled(together, file)
+    return file, found
 
 
 def of_sample(shot: FarmShot) -> list[dict[str, Any]]:
     """What was found of the sample, for the set that is there; frames that were not looked at are missing."""
-    chosen = (read_json(shot.united, key=shot.key) or {}).get("set")
+    chosen = chosen_of(shot)
     found = [read_json(shot.verified(number), key=shot.key, set=chosen) for number in range(1, shot.checks + 1)]
     return [one for one in found if one is not None]

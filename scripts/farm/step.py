@@ -12,8 +12,9 @@ if TYPE_CHECKING:
     from ...lipac_addon.batch.job import Cancel
 
 STEPS = {
-    "analyze": "what each of the frames needs",
+    "analyze": "what each of the frames proposes",
     "unite": "one set for all frames, in shot.blend",
+    "judge": "whether that set keeps the budget in each of the frames, by paths that chose nothing",
     "render": "pictures of frames of shot.blend, by a Blender that need not have LiPaC",
     "verify": "measure what culling changes in frames of the sample; where it is too much, mend the frames around",
     "certify": "certificate.json and certificate.html",
@@ -42,7 +43,9 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("step", choices=STEPS, metavar="STEP", help=", ".join(STEPS))
     parser.add_argument("folder", type=Path, metavar="DIR", help="the shot's folder")
-    parser.add_argument("--frames", type=frame_range, metavar="A-B", help="analyze, render: these (default: all)")
+    parser.add_argument(
+        "--frames", type=frame_range, metavar="A-B", help="analyze, judge, render: these (default: all)"
+    )
     parser.add_argument(
         "--check", type=frame_range, metavar="A-B", help="verify: these of the sample, by number from 1 (default: all)"
     )
@@ -71,7 +74,7 @@ def main(argv: Sequence[str]) -> int:
         with muted():
             import bpy  # noqa: F401
         gc.freeze()
-        if args.step in ("analyze", "verify"):
+        if args.step in ("analyze", "judge", "verify"):
             load_ahead()
         return done(args, progress, cancelled)
 
@@ -83,7 +86,7 @@ def done(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> int
     from ...core.errors import InputError
     from ...core.files.figures import size
     from ...core.progress import part
-    from ...lipac_addon.farm import analyse, certificate, children, unite, verify
+    from ...lipac_addon.farm import analyse, certificate, children, judge, unite, verify
     from ...lipac_addon.farm.jobs import pack
     from ...lipac_addon.farm.layout import FarmShot
     from ..command.streams import say
@@ -103,6 +106,10 @@ def done(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> int
     elif args.step == "unite":
         found = unite.unite(shot, progress, cancelled)
         line = f"{found['active']:,} of {found['instances']:,} instances stay"
+    elif args.step == "judge":
+        told = judge.judge(shot, frames, args.threads, progress, cancelled)
+        held = sum(one["holds"] for one in told)
+        line = f"the set is certified in {held} of {len(told)} frames"
     elif args.step == "render":
         children.render(shot, frames, args.blender, cancelled=cancelled)
         line = f"{shot.picture(frames[0]).parent} has the pictures of {len(frames)} frames"

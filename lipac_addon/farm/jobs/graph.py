@@ -76,7 +76,9 @@ def graph(shot: FarmShot, chunk: int, programs: Programs, measured: dict[str, An
 
     decide, draw = analysis.get("seconds"), full.get("seconds")
     mending = (
-        None if decide is None or draw is None else MENDS * decide * len(shot.span(1)) + draw * (len(shot.span(1)) + 2)
+        None
+        if decide is None or draw is None
+        else 2 * MENDS * decide * len(shot.span(1)) + draw * (len(shot.span(1)) + 2)
     )
     lipac, plain = programs.lipac[1:], programs.blender[1:]
     own, frames = ("--scene", SCENE, "--quiet"), ("--frames", ITEMS)
@@ -103,8 +105,19 @@ def graph(shot: FarmShot, chunk: int, programs: Programs, measured: dict[str, An
             timeout=timeout(decide),
             memory=memory(analysis),
         ),
+        Step(
+            "judge",
+            ("unite",),
+            LIPAC,
+            (*lipac, "judge", FOLDER, *frames, *own),
+            shot.frames,
+            FRAMES,
+            chunk,
+            timeout(_times(decide, chunk)),
+            memory(analysis),
+        ),
         Step("render", ("unite",), PLAIN, script, shot.frames, FRAMES, chunk, rendered, memory(full)),
-        Step("verify", ("render",), LIPAC, check, sample, SAMPLE, 1, timeout(mending), memory(full, analysis)),
+        Step("verify", ("judge", "render"), LIPAC, check, sample, SAMPLE, 1, timeout(mending), memory(full, analysis)),
         Step("certify", ("verify",), LIPAC, (*lipac, "certify", FOLDER, "--quiet"), timeout=LEAST),
     ]
 

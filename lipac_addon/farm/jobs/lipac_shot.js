@@ -44,13 +44,14 @@ function compileJob(job) {
     ].concat(settings.options ? shellSplit(settings.options) : []));
     const analyze = chunks.map((chunk) => shotStep(settings, `analyze-${chunk}`, "analyze", ["--frames", chunk].concat(own)));
     const unite = shotStep(settings, "unite", "unite", own);
+    const judge = chunks.map((chunk) => shotStep(settings, `judge-${chunk}`, "judge", ["--frames", chunk].concat(own)));
     const render = chunks.map((chunk) => renderTask(settings, chunk));
     const verify = [];
     for (let number = 1; number <= checks; number++) {
         verify.push(shotStep(settings, `verify-${number}`, "verify", ["--check", `${number}`, "--blender", "{blender}"].concat(own)));
     }
     const certify = shotStep(settings, "certify", "certify", ["--quiet"]);
-    addInOrder(job, [[prepare], analyze, [unite], render, verify, [certify]]);
+    addInOrder(job, [[prepare], analyze, [unite], judge.concat(render), verify, [certify]]);
 }
 
 // First and last of 'A-B' or 'A'.

@@ -13,20 +13,21 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-STEPS = ("analyze", "unite", "render", "verify", "certify")
+STEPS = ("analyze", "unite", "judge", "render", "verify", "certify")
 
 
 @dataclass(frozen=True)
 class Measured:
     """What was measured, in seconds.
 
-    analyze, render: of frames; verify: of verified frames. start: of a process until its first frame, by step.
+    analyze, judge, render: of frames; verify: of verified frames. start: of a process until its first frame, by step.
     per_frame: for each frame of the shot, of the steps that are one task; "unite" of each file of states that is read,
     "look" of each frame whose file a chunk's is held against. bytes: of the files scene, culled, analysis
     and picture. ratio: of rendering in full to culled.
     """
 
     analyze: Sequence[float]
+    judge: Sequence[float]
     render: Sequence[float]
     verify: Sequence[float]
     start: dict[str, float]
@@ -77,6 +78,7 @@ def simulate(measured: Measured, frames: int, workers: int, checks: int, farm: F
                 size["scene"] + len(parts) * size["analysis"] + size["culled"],
             )
         ],
+        "judge": [(sum(draw.choices(measured.judge, k=n)), size["scene"] + size["analysis"]) for n in parts],
         "render": [(sum(draw.choices(measured.render, k=n)), size["culled"] + n * size["picture"]) for n in parts],
         "verify": [(seconds, size["scene"] + size["culled"]) for seconds in draw.choices(measured.verify, k=checks)],
         "certify": [(per["certify"] * frames, 0)],

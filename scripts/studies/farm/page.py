@@ -68,7 +68,8 @@ def measure(scene: Path, folder: Path, asked: Sequence[str]) -> dict[str, Any]:
     shot = FarmShot.load(folder)
     certificate, united = (read_json(path) or {} for path in (folder / "certificate.json", shot.united))
     frames = certificate["frames"]
-    own = {"analyze": [f["analysis"]["seconds"] for f in frames], "render": [f["render"]["seconds"] for f in frames]}
+    notes = {"analyze": "analysis", "judge": "judgement", "render": "render"}
+    own = {step: [f[note]["seconds"] for f in frames] for step, note in notes.items()}
     own["verify"] = [f["verified"]["seconds"] for f in frames if f["verified"]]
     begin = time.perf_counter()
     for frame in shot.frames:
@@ -76,7 +77,7 @@ def measure(scene: Path, folder: Path, asked: Sequence[str]) -> dict[str, Any]:
         read_json(shot.rendered(frame))
     certify = (time.perf_counter() - begin) / len(frames)
     per_frame = {"unite": _union_seconds(shot), "look": _look_seconds(shot), "certify": certify}
-    beside = {name: max(walls[name] - sum(own[name]), 0.0) for name in ("analyze", "render")}
+    beside = {name: max(walls[name] - sum(own[name]), 0.0) for name in notes}
     beside["verify"] = max(walls["verify"] - sum(own["verify"]), 0.0)
     beside |= {name: max(walls[name] - per_frame[name] * len(frames), 0.0) for name in ("unite", "certify")}
     files = {
@@ -171,6 +172,7 @@ def measured_table(found: dict[str, Any]) -> str:
         ("analyze", "a frame", fmean(found["analyze"]), found["start"]["analyze"], peak["analysis"]),
         ("unite", "a file of states", found["per_frame"]["unite"], found["start"]["unite"], peak["unite"]),
         ("", "a frame that a chunk holds", found["per_frame"]["look"], 0.0, 0),
+        ("judge", "a frame", fmean(found["judge"]), found["start"]["judge"], peak["judgement"]),
         ("render", "a frame, culled", fmean(found["render"]), found["start"]["render"], peak["render"]),
         (
             "render",
@@ -187,14 +189,14 @@ def measured_table(found: dict[str, Any]) -> str:
         for step, what, own, start, memory in rows
     ]
     head = ["| step | of | seconds | and once a task | peak memory |", "|---|---|---:|---:|---:|"]
-    total = sum(sum(found[name]) for name in ("analyze", "render", "verify")) + sum(found["start"].values())
+    total = sum(sum(found[name]) for name in ("analyze", "judge", "render", "verify")) + sum(found["start"].values())
     size_of = {name: size(count) for name, count in found["bytes"].items()}
     return "\n".join(
         [
             textwrap.fill(
                 f"Frames {first}-{last} of `flythrough` with {shot['instances']:,} instances, "
                 f"{'x'.join(map(str, shot['resolution']))}, {shot['samples']} samples: "
-                f"a frame needs {kept['needed']:,.0f} of them on average, the shot {kept['active']:,}. "
+                f"a frame proposes {kept['needed']:,.0f} of them on average, the shot {kept['active']:,}. "
                 "Two verified frames change by "
                 f"{' and '.join(f'{100 * error:.2g} %' for error in found['error'])}. All {frames} frames took "
                 f"{clock(total)}. Files: the scene "
@@ -220,8 +222,8 @@ def _short(seconds: float) -> str:
 def simulated_table(measured: Measured) -> str:
     """The plan, and what the shared folder's share of it is."""
     lines = [
-        "| frames | machines | analyze | unite | render | verify | certify | in all | in full, uncertified |",
-        "|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| frames | machines | analyze | unite | judge | render | verify | certify | in all | in full, uncertified |",
+        "|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for frames, checks in SHOTS:
         for workers in (1, 10, 100, 1000):

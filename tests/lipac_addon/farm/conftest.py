@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import bpy
 import pytest
 
 from lipac.core.error_budget.budget import Budget
@@ -14,12 +15,18 @@ from ..conftest import save_rising
 
 @pytest.fixture(scope="session")
 def rising(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The scene, as a .blend."""
-    return save_rising(tmp_path_factory.mktemp("scene"))
+    """The scene, as a .blend, with one more box below the ground, which no frame shows."""
+    path = save_rising(tmp_path_factory.mktemp("scene"))
+    open_scene(path)
+    hidden = bpy.data.objects["box0"].copy()
+    hidden.name, hidden.location.z = "box8", -40.0
+    bpy.context.scene.collection.objects.link(hidden)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
 
 
 @pytest.fixture
 def shot(rising: Path, tmp_path: Path) -> FarmShot:
     """The job, written."""
     open_scene(rising)
-    return write_shot(tmp_path / "shot", rising, Wanted(budget=Budget(0.05, 0.3), paths=2))
+    return write_shot(tmp_path / "shot", rising, Wanted(budget=Budget(0.05, 0.3), paths=4))

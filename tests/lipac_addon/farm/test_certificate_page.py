@@ -17,14 +17,25 @@ def attempt(mean: float, broken: bool = False, mended: str = "") -> dict[str, An
     least = {"verified_least_mean": mean / 2, "verified_least_worst": 2 * mean}
     tiles = {"verified_grid": [4, 3], "verified_crops": [[0, 0], [2, 1]], "verified_tiles": [[mean] * 12] * 2}
     change = {"verified_mean": mean, "verified_worst": 4 * mean, **least, **tiles}
-    return {**change, "mended": mended, "broken": broken, "max_error": [0.01, 0.05], "seconds": 3.0, "peak_bytes": 5e8}
+    asked = {
+        "mended": mended,
+        "broken": broken,
+        "max_error": [0.01, 0.05],
+        "uncertified": [],
+        "certified": [[0.004, 0.02]],
+    }
+    return {**change, **asked, "seconds": 3.0, "peak_bytes": 5e8}
 
 
 def frame(number: int, *attempts: dict[str, Any]) -> dict[str, Any]:
-    own = {"instances": 900, "active": 40 + number, "certified_mean": 0.004, "seconds": 2.5, "peak_bytes": 700_000_000}
+    own = {"instances": 900, "active": 40 + number, "seconds": 2.5, "peak_bytes": 700_000_000}
+    paths = {
+        "certified": {"mean": 0.004, "worst": 0.02},
+        "judgement": {"holds": True, "seconds": 1.0, "peak_bytes": 6e8},
+    }
     render = {"seconds": 7.0, "peak_bytes": 400_000_000, "mended": "", "blender": "5.2.3 LTS"}
     found = {"attempts": list(attempts), "full": {"seconds": 9.0, "peak_bytes": 6e8}, "seconds": 15.0}
-    return {"frame": number, "analysis": own, "render": render, "verified": found if attempts else None}
+    return {"frame": number, "analysis": own, **paths, "render": render, "verified": found if attempts else None}
 
 
 def made(broken: int = 0) -> dict[str, Any]:
@@ -32,8 +43,17 @@ def made(broken: int = 0) -> dict[str, Any]:
     header = {"schema": 1, "scene": "<a> street.blend", "lipac": "0.1.0", "blender": "5.2.3 LTS"}
     header |= {"key": "0123456789abcdef", "set": "fedcba9876543210", "max_error": [0.01, 0.05]}
     counts = {"instances": 900, "active": 55, "warnings": ["one & two"], "verified": 2, "failed": 1, "broken": broken}
-    seconds = {"analysis": 10.0, "render": 28.0, "unite": 1.2, "verify": 30.0, "full": 84.0, "ratio": 3.0}
-    memory = {"analysis": 7e8, "unite": 3e8, "render": 4e8, "crops_culled": 5e8, "crops_full": 6e8}
+    counts |= {"certified_mean": 0.004, "certified_worst": 0.02, "uncertified": []}
+    seconds = {
+        "analysis": 10.0,
+        "judgement": 4.0,
+        "render": 28.0,
+        "unite": 1.2,
+        "verify": 30.0,
+        "full": 84.0,
+        "ratio": 3.0,
+    }
+    memory = {"analysis": 7e8, "judgement": 6e8, "unite": 3e8, "render": 4e8, "crops_culled": 5e8, "crops_full": 6e8}
     frames = [frame(1), frame(2, attempt(0.002)), mended, frame(4)]
     found = {**header, **counts, "at_most": 0.6, "mended": [[3, 3]], "seconds": seconds, "peak_bytes": memory}
     found |= {"frames": frames}
@@ -52,7 +72,7 @@ def test_figures_are_those_of_the_certificate(broken: int) -> None:
             value = value[int(name)] if isinstance(value, list) else value[name]
         assert float(figure.attributes["value"]) == value
     assert [e.text for e in read.all("p")][1 : 1 + len(data["statement"])] == data["statement"]
-    assert ("Above" if broken else "Within") in read.all("h1")[0].text
+    assert ("Above" if broken else "Certified") in read.all("h1")[0].text
     assert len(read.all("td", "bad-text")) == 1 + broken
     assert {e.text for e in read.all("li")} >= {"one & two"}
     assert "<a> street.blend" in read.all("title")[0].text

@@ -20,7 +20,7 @@ from lipac.core.errors import InputError
 from lipac.core.files.report import load_states, save_states
 from lipac.lipac_addon.batch.deciding import decide_layers
 from lipac.lipac_addon.batch.shot_set import ShotSet
-from lipac.lipac_addon.farm import analyse, certificate, children, unite, verify
+from lipac.lipac_addon.farm import analyse, certificate, children, judge, unite, verify
 from lipac.lipac_addon.farm.jobs.writing import Wanted, write_shot
 from lipac.lipac_addon.farm.layout import FarmShot, read_json
 from lipac.lipac_addon.farm.opening import open_shot
@@ -39,6 +39,7 @@ def times(folder: Path) -> dict[str, int]:
 def all_steps(shot: FarmShot) -> dict[str, Any]:
     analyse.analyse(shot, shot.frames)
     unite.unite(shot)
+    judge.judge(shot, shot.frames)
     children.render(shot, shot.frames)
     for number in range(1, shot.checks + 1):
         verify.verify(shot, number)
@@ -61,7 +62,11 @@ def test_all_steps_and_all_again(shot: FarmShot) -> None:
     assert [frame["analysis"]["active"] for frame in found["frames"]] == needed
     assert max(needed) <= found["active"] < found["instances"]
     assert all(found["peak_bytes"][name] > 1e7 for name in found["peak_bytes"])
-    assert "The other 4 frames were not looked at" in " ".join(found["statement"])
+    assert "The other 4 frames were not rendered in full" in " ".join(found["statement"])
+    assert found["uncertified"] == []
+    bounds = [read_json(shot.judged(frame)) or {} for frame in shot.frames]
+    assert found["certified_mean"] == max(bound["certified_mean"] for bound in bounds) <= shot.mean
+    assert found["certified_worst"] == max(bound["certified_worst"] for bound in bounds) <= shot.worst
     page = (shot.folder / "certificate.html").read_text()
     assert all(sentence.split("%")[0] in page for sentence in found["statement"])
 
@@ -71,7 +76,7 @@ def test_pictures_are_of_the_culled_file_as_any_blender_renders_it(shot: FarmSho
     removed = unite.unite(shot)["removed"]
     children.render(shot, (2, 3))
     bpy.ops.wm.open_mainfile(filepath=str(shot.culled))
-    assert len([ob for ob in bpy.data.objects if ob.name.startswith("box")]) == 8 - removed < 8
+    assert len([ob for ob in bpy.data.objects if ob.name.startswith("box")]) == 9 - removed < 9
     for frame in (2, 3):
         bpy.context.scene.frame_set(frame)
         bpy.context.scene.render.filepath = str(shot.folder / "plain.png")
@@ -97,7 +102,7 @@ def test_what_is_pinned_is_rendered(rising: Path, tmp_path: Path) -> None:
     open_scene(rising)
     bpy.data.objects["box5"].lipac_role = PIN
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "pinned.blend"))
-    shot = write_shot(tmp_path / "shot", tmp_path / "pinned.blend", Wanted((1,), Budget(0.05, 0.3), 2))
+    shot = write_shot(tmp_path / "shot", tmp_path / "pinned.blend", Wanted((1,), Budget(0.05, 0.3), 4))
     analyse.analyse(shot, shot.frames)
     unite.unite(shot)
     bpy.ops.wm.open_mainfile(filepath=str(shot.culled))
@@ -135,6 +140,7 @@ def test_a_wrong_set_is_found_and_mended(shot: FarmShot) -> None:
     cull_too_much(shot)
     chosen = unite.unite(shot)
     assert chosen["active"] == 0
+    assert not any(one["holds"] for one in judge.judge(shot, shot.frames))
     children.render(shot, shot.frames)
     empty = {frame: read_picture(shot.picture(frame)) for frame in shot.frames}
     found = verify.verify(shot, 1)
@@ -156,13 +162,37 @@ def test_a_wrong_set_is_found_and_mended(shot: FarmShot) -> None:
     assert "Frames 1-3, 4-6 were analysed again, tighter, and rendered again" in " ".join(said["statement"])
 
 
+def test_a_set_that_paths_do_not_certify_is_mended_where_no_picture_tells(shot: FarmShot) -> None:
+    """One frame of a span is said not to hold, whatever the sample shows."""
+    analyse.analyse(shot, shot.frames)
+    unite.unite(shot)
+    told = judge.judge(shot, shot.frames)
+    path = shot.judged(2)
+    path.write_text(json.dumps(told[1] | {"holds": False}))
+    children.render(shot, shot.frames)
+    found = verify.verify(shot, 1)
+    first, last = found["attempts"]
+    assert not first["broken"] and first["uncertified"] == [2]
+    assert last["uncertified"] == [] and last["mended"].startswith("0001-0003_1")
+    assert max(mean for mean, _ in last["certified"]) <= shot.mean
+    assert {mended(shot, frame) for frame in (1, 2, 3)} == {last["mended"]}
+    assert len(verify.verify(shot, 2)["attempts"]) == 1
+    said = certificate.certify(shot)
+    assert (said["failed"], said["broken"], said["mended"], said["uncertified"]) == (0, 0, [[1, 3]], [2])
+    assert "The shot's set was not certified in frame 2. Frames 1-3 were analysed again" in " ".join(said["statement"])
+    assert "for paths do not certify the shot's set in frame 2" in certificate.verdict(found)
+
+
 def test_where_no_analysis_helps_all_is_kept(shot: FarmShot, monkeypatch: pytest.MonkeyPatch) -> None:
     analyse.analyse(shot, shot.frames)
     cull_too_much(shot)
     unite.unite(shot)
+    told = judge.judge(shot, shot.frames)
     children.render(shot, shot.frames)
     monkeypatch.setattr(
-        verify, "mend", lambda shot, _number, attempt, *_: shot.scene if attempt == verify.MENDS else shot.culled
+        verify,
+        "mend",
+        lambda shot, _number, attempt, *_: (shot.scene, []) if attempt == verify.MENDS else (shot.culled, told[3:]),
     )
     attempts = verify.verify(shot, 2)["attempts"]
     assert [one["mended"] == verify.ALL for one in attempts] == [False, False, False, True]
@@ -176,8 +206,9 @@ def test_what_is_missing_is_named(shot: FarmShot) -> None:
         unite.unite(shot)
     with pytest.raises(InputError, match="unite first"):
         children.render(shot, (1,))
-    with pytest.raises(InputError, match="run lipac shot unite"):
-        verify.verify(shot, 1)
+    for step in (lambda: verify.verify(shot, 1), lambda: judge.judge(shot, (1,))):
+        with pytest.raises(InputError, match="run lipac shot unite"):
+            step()
     analyse.analyse(shot, shot.frames)
     shot.analysis(4).write_bytes(shot.analysis(4).read_bytes()[:1000])
     with pytest.raises(InputError, match="damaged: frame_0004; run lipac shot analyze"):
@@ -188,6 +219,12 @@ def test_what_is_missing_is_named(shot: FarmShot) -> None:
     with pytest.raises(InputError, match="3, 4, 5, 6; run lipac shot render"):
         certificate.certify(shot)
     children.render(shot, (3, 4, 5, 6))
+    judge.judge(shot, (1, 3, 5))
+    with pytest.raises(InputError, match="not judged in frames 2, 4, 6; run lipac shot judge"):
+        certificate.certify(shot)
+    with pytest.raises(InputError, match="not judged in frames 2; run lipac shot judge"):
+        verify.verify(shot, 1)
+    judge.judge(shot, shot.frames)
     with pytest.raises(InputError, match="numbers 1, 2 of the sample"):
         certificate.certify(shot)
 

@@ -84,7 +84,9 @@ def test_tasks_are_those_of_the_graph(manager: MiniRacer, last: int, chunk: int,
     }
     assert [task["name"] for task in tasks] == [name for stage in names.values() for name in stage]
     after = {
-        name: names[before] for step in steps for before in (step.after or ("prepare",)) for name in names[step.name]
+        name: [one for before in (step.after or ("prepare",)) for one in names[before]]
+        for step in steps
+        for name in names[step.name]
     }
     assert {task["name"]: task["dependencies"] for task in tasks} == {"prepare": []} | after
     found = {task["name"]: task["commands"] for task in tasks}

@@ -19,7 +19,14 @@ from .conftest import FARM
 from .same import assert_same_shot
 
 OPENJD = [sys.executable, "-m", "openjd"]
-STEPS = {"analyze": [], "unite": ["analyze"], "render": ["unite"], "verify": ["render"], "certify": ["verify"]}
+STEPS = {
+    "analyze": [],
+    "unite": ["analyze"],
+    "judge": ["unite"],
+    "render": ["unite"],
+    "verify": ["judge", "render"],
+    "certify": ["verify"],
+}
 
 
 def openjd(*arguments: object) -> subprocess.CompletedProcess[str]:

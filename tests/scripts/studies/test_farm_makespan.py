@@ -10,7 +10,8 @@ from lipac.scripts.studies.farm.makespan import STEPS, Farm, Measured, chunk_of,
 
 NOTHING = dict.fromkeys(STEPS, 0.0)
 MEASURED = Measured(
-    analyze=[3.0], render=[2.0], verify=[5.0], start=NOTHING, per_frame={"unite": 0.01, "look": 0.001, "certify": 0.0},
+    analyze=[3.0], judge=[1.0], render=[2.0], verify=[5.0], start=NOTHING,
+    per_frame={"unite": 0.01, "look": 0.001, "certify": 0.0},
     bytes=dict.fromkeys(("scene", "culled", "analysis", "picture"), 0), ratio=4.0,
 )  # fmt: skip
 IDEAL = Farm(handing_out=0.0)
@@ -18,15 +19,19 @@ IDEAL = Farm(handing_out=0.0)
 
 def test_one_machine_does_all_one_after_the_other() -> None:
     run = simulate(MEASURED, 100, 1, 4, IDEAL)
-    assert run.steps == pytest.approx({"analyze": 301.0, "unite": 0.2, "render": 200.0, "verify": 20.0, "certify": 0.0})
-    assert run.total == pytest.approx(521.2)
+    assert run.steps == pytest.approx(
+        {"analyze": 301.0, "unite": 0.2, "judge": 100.0, "render": 200.0, "verify": 20.0, "certify": 0.0}
+    )
+    assert run.total == pytest.approx(621.2)
     assert in_full(MEASURED, 100, 1, IDEAL) == pytest.approx(800.0)
 
 
 def test_many_machines_leave_what_cannot_be_shared() -> None:
     """A frame each; the union grows with the frames, and, where machines unite chunks of them, with those."""
     run = simulate(MEASURED, 100, 1000, 4, IDEAL)
-    assert run.steps == pytest.approx({"analyze": 3.0, "unite": 1.1, "render": 2.0, "verify": 5.0, "certify": 0.0})
+    assert run.steps == pytest.approx(
+        {"analyze": 3.0, "unite": 1.1, "judge": 1.0, "render": 2.0, "verify": 5.0, "certify": 0.0}
+    )
     assert simulate(MEASURED, 1000, 1000, 4, IDEAL).steps["unite"] == pytest.approx(11.0)
     assert simulate(MEASURED, 10_000, 1000, 4, IDEAL).steps["unite"] == pytest.approx(20.0)
 
