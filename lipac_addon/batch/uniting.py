@@ -19,18 +19,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.culling.options import State
+from ...core.culling.options import CullOptions, State
 from ...core.files.atomic import alone, is_whole
 from ...core.files.report import UNREADABLE, Report, States, load_states
 from ...core.progress import Progress, part, silent
 from .. import roles
 from ..extract import Extraction
+from ..keys import Keys
 from .deciding import Decided, decide_layers
 from .job import Cancel, Job, check
 from .session import Decide, Session, sessions_of
 from .shot_set import ShotSet
 
 if TYPE_CHECKING:
+    from ...core.culling.loop import Loop
     from ...core.culling.result import CullingResult
     from ...core.culling.shot import How
 
@@ -42,9 +44,13 @@ WORK = ("paths", "rays", "iterations", "calibration_paths", "certificate_paths",
 
 
 def unites(job: Job) -> bool:
-    """Whether a job's set can be certified: there is an error budget, and nothing else limits what is built."""
-    options = job.options
-    return not (job.warm or options.by_counts or options.blas_budget_bytes or options.blas_budget_ms or options.memory)
+    """Whether a job's set can be certified: each frame is a fresh start, by a budget alone."""
+    return not job.warm and by_budget_alone(job.options)
+
+
+def by_budget_alone(options: CullOptions) -> bool:
+    """Whether light paths decide by an error budget, and nothing else limits what is built."""
+    return not (options.by_counts or options.blas_budget_bytes or options.blas_budget_ms or options.memory)
 
 
 def middles(failing: Sequence[int], frames: Sequence[int], level: dict[int, int]) -> list[int]:
@@ -70,26 +76,33 @@ def deciding(how: How) -> Decide:
 
 
 def judging(together: ShotSet, earlier: int, held: list[bool], own: bool) -> Decide:
-    """A decision that judges a set in the frame that was extracted, and appends to held whether it keeps the budget.
-    earlier: how many sets the frame has judged before; own: whether the frame itself has had its say in this one."""
-    from ...core.culling import union
+    """A decision that judges a set in the frame that was extracted, as `judgement`."""
 
     def judge(session: Session, extraction: Extraction, within: Progress, cancelled: Cancel) -> CullingResult:
-        active, met = together.found(extraction.keys)
-        faces = together.faces_of(extraction.keys, active)
-
-        def how(loop: Any, progress: Progress) -> CullingResult:
-            try:
-                found = union.check(loop, active, met, faces, earlier, progress)
-            except ValueError:  # other faces than in the frames that chose them
-                found = replace(union.check(loop, active, met, {}, earlier, progress), holds=False)
-            # a picture without anything is no picture, whatever the paths say, until the frame itself has said so
-            held.append(found.holds and (bool(active.any()) or own))
-            return found.result
-
+        how = judgement(together, extraction.keys, earlier, held, own)
         return session.decide(extraction, None, within, cancelled, how)
 
     return judge
+
+
+def judgement(together: ShotSet, keys: Keys, earlier: int, held: list[bool], own: bool) -> How:
+    """Judge a set in a frame with these keys, and append to held whether it keeps the budget there. earlier: how many
+    sets the frame has judged before; own: whether the frame itself has had its say in this one."""
+    from ...core.culling import union
+
+    active, met = together.found(keys)
+    faces = together.faces_of(keys, active)
+
+    def how(loop: Loop, progress: Progress) -> CullingResult:
+        try:
+            found = union.check(loop, active, met, faces, earlier, progress)
+        except ValueError:  # other faces than in the frames that chose them
+            found = replace(union.check(loop, active, met, {}, earlier, progress), holds=False)
+        # a picture without anything is no picture, whatever the paths say, until the frame itself has said so
+        held.append(found.holds and (bool(active.any()) or own))
+        return found.result
+
+    return how
 
 
 class Uniting:

@@ -19,6 +19,7 @@ from ...keys import any_of
 from ..state import applying, props, results, scatters, session
 from . import engine
 from .background import AskedMeshes, in_thread
+from .certifying import certify
 from .job import Job
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from ...extract import Extraction, Extractor
     from ...extract.graph import GraphReader
     from ...extract.graph_items import Node
+    from .certifying import Asked
 
 
 LOST = "Nothing is hidden from renders any more"
@@ -132,12 +134,25 @@ class AnalysisJob(Job):
         try:
             for k, number in enumerate(self._frames):
                 found[number] = yield from self._analyse(number, k)
+            if self._bake and len(found) > 1:
+                options = props.cull_options(self._scene().lipac)
+                yield from certify(found, self._frames, options, self._begin, self._analyse)
         except MemoryError as error:
             raise InputError("the analysis ran out of memory: raise the error budget, or simplify the scene") from error
         return found
 
-    def _analyse(self, number: int, k: int) -> Generator[None, None, results.FrameResult]:
-        """A frame."""
+    def _begin(self) -> None:
+        """Have the frames that follow be analysed each by itself."""
+        from ....core.culling.shot import Shot
+
+        self._shot = Shot(props.cull_options(self._scene().lipac), independent=True)
+
+    def _analyse(
+        self, number: int, k: int, how: Asked | None = None, doing: str = ""
+    ) -> Generator[None, None, results.FrameResult]:
+        """A frame. how: what is done in it, by what was extracted and its uids; by default it decides. doing: what that
+        is, in words."""
+        from ....core.culling.analysis import decide
         from ....core.culling.shot import Shot
         from ...memory.rows import Weighed
 
@@ -153,7 +168,7 @@ class AnalysisJob(Job):
         scene, self._set_frame = self._scene(), number
         extraction = self._extract(scene, number)
         shot = self._shot = self._shot or Shot(props.cull_options(scene.lipac))
-        needed = yield from self._exposed(shot, extraction, number)
+        needed = yield from self._exposed(shot, extraction, number, how)
         if needed:
             extraction = self._extract(scene, number)
         uids = results.session_uids(extraction.keys)
@@ -167,26 +182,30 @@ class AnalysisJob(Job):
         meshes = AskedMeshes(extraction.scene.meshes)
 
         def report(fraction: float, what: str) -> None:
-            self.progress, self.message = (k + fraction) / n, name + what
+            self.progress, self.message = (k + fraction) / n, name + (doing or what)
 
-        asked = replace(extraction.scene, meshes=meshes)
-        result = yield from in_thread(
-            lambda: shot.advance(asked, extraction.change, report, lambda: self.cancelled, pinned), self.cancel, meshes
-        )
+        asked, step = replace(extraction.scene, meshes=meshes), decide if how is None else how(extraction, uids)
+        advance = partial(shot.advance, asked, extraction.change, report, lambda: self.cancelled, pinned, step)
+        result = yield from in_thread(advance, self.cancel, meshes)
         self._check()
         memory = tuple(merged(Weighed.of(extraction, result, number, scene).rows()))
         found = results.FrameResult.of(number, extraction, uids, result, pinned)
         return replace(found, prints=prints, memory=memory, futile=self.note)
 
-    def _exposed(self, shot: Shot, extraction: Extraction, number: int) -> Generator[None, None, list[Records]]:
-        """Keys of what the frame needs at other moments of its exposure, a part for each."""
+    def _exposed(
+        self, shot: Shot, extraction: Extraction, number: int, how: Asked | None
+    ) -> Generator[None, None, list[Records]]:
+        """Keys of what the frame needs at other moments of its exposure, a part for each. how: as of `_analyse`."""
+        from ....core.culling.analysis import decide
+
         needed = []
         for moment in extraction.moments:
             assert self._extractor is not None
             other = self._extractor.frame(number, keep=False, at=moment)
             meshes = AskedMeshes(other.scene.meshes)
             asked, change = replace(other.scene, meshes=meshes), other.change
-            advance = partial(shot.advance, asked, change, cancelled=lambda: self.cancelled)
+            step = decide if how is None else how(other, results.session_uids(other.keys))
+            advance = partial(shot.advance, asked, change, cancelled=lambda: self.cancelled, how=step)
             result = yield from in_thread(advance, self.cancel, meshes)
             self._check()
             needed.append(other.keys.records[result.active])

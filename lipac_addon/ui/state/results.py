@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ....core.arrays import F32, F64, I64, U8
     from ....core.culling.result import CullingResult
     from ....core.files.memory_table import MemoryRow
+    from ...batch.shot_set import ShotSet
     from ...extract import Extraction
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
@@ -173,18 +174,9 @@ def at(scene: bpy.types.Scene) -> FrameResult | None:
 def union(frames: Collection[FrameResult]) -> FrameResult:
     """One set for all frames: what any of them keeps. Where instances are and what met them is of no frame, so it is
     left out."""
-    from ....core.files.report import States
-    from ...batch.shot_set import ShotSet
-
-    shot, name_of = ShotSet(), dict[str, str]()
-    for frame in frames:
-        columns = {name: frame.keys.records[name] for name in ("kind", "host", "object", "path")}
-        tags = tuple(
-            str(uid) if uid >= 0 else f"-1 {name}"
-            for uid, name in zip(frame.uids.tolist(), frame.keys.names, strict=True)
-        )
-        name_of |= zip(tags, frame.keys.names, strict=True)  # names may change from frame to frame
-        shot.add(States(frame.state, frame.score, frame.hits, columns, tags))
+    shot = shot_set(frames)
+    # names may change from frame to frame
+    name_of = {tag: name for frame in frames for tag, name in zip(_tags(frame), frame.keys.names, strict=True)}
     uids = np.array([int(tag.split()[0]) for tag in shot.keys.names], np.int64)
     state = np.where(shot.active, np.uint8(ACTIVE), np.uint8(CULLED))
     nothing, boxes = np.zeros(0, np.float32), np.zeros((0, 2, 3), np.float32)
@@ -193,6 +185,28 @@ def union(frames: Collection[FrameResult]) -> FrameResult:
     return FrameResult(
         last.frame, keys, uids, state, nothing, np.zeros((0, len(RAYS)), np.int64), boxes, boxes, last.origin, {}, ()
     )
+
+
+def shot_set(frames: Iterable[FrameResult]) -> ShotSet:
+    """What any of the frames keeps, by keys whose names are as of `tagged`."""
+    from ....core.files.report import States
+    from ...batch.shot_set import ShotSet
+
+    shot = ShotSet()
+    for frame in frames:
+        columns = {name: frame.keys.records[name] for name in ("kind", "host", "object", "path")}
+        shot.add(States(frame.state, frame.score, frame.hits, columns, _tags(frame)))
+    return shot
+
+
+def tagged(keys: Keys, uids: I64) -> Keys:
+    """Keys whose names are session uids, which outlive renaming."""
+    tags = (str(uid) if uid >= 0 else f"-1 {name}" for uid, name in zip(uids.tolist(), keys.names, strict=True))
+    return replace(keys, names=tuple(tags))
+
+
+def _tags(frame: FrameResult) -> tuple[str, ...]:
+    return tagged(frame.keys, frame.uids).names
 
 
 def shown(scene: bpy.types.Scene) -> FrameResult | None:
