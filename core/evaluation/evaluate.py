@@ -20,7 +20,7 @@ from ..error_budget.budget import Budget
 from ..files.atomic import replacing
 from ..progress import Progress, part, silent
 from ..scene.model import Scene
-from .judge import Judge
+from .judge import Judge, error_of
 from .oracle import search
 
 BUDGETS = (0.005, 0.01, 0.02, 0.05)
@@ -128,7 +128,7 @@ class Evaluation:
         def compute() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             verdict = self.judge.verdict(keep, budget)
             change = verdict.change
-            row = {"mean": change.mean, "worst": change.worst, "holds": change.holds(budget)}
+            row = error_of(change) | {"holds": change.holds(budget)}
             return row | {"surely": verdict.surely, "broken": verdict.broken, "judged_by": verdict.samples}, {}
 
         return self.store.get(f"change by {_name_of(keep)} for {budget}", compute)[0]
@@ -209,7 +209,7 @@ class Evaluation:
             predicted = {
                 key: stats[key] for key in ("predicted_mean", "predicted_worst", "certified_mean", "certified_worst")
             }
-            self.measure(
+            row = self.measure(
                 OURS,
                 budget.mean,
                 arrays["active"],
@@ -217,6 +217,7 @@ class Evaluation:
                 analysis_s=seconds(stats),
                 **predicted,
             )
+            row |= self.changed(arrays["active"], budget)
 
     def random(self, progress: Progress = silent) -> None:
         """Rows of random sets, each as large as ours for a budget."""
@@ -285,7 +286,7 @@ def at_equal_error(rows: list[Row]) -> list[Row]:
             next(r for r in rows if r["policy"] == p and r["setting"] == budget.mean) for p in (OURS, ORACLE)
         )
         able = [r for r in rows if r["policy"] in (*RULES, "none") and holds(r, budget)]
-        entry: Row = {"error": budget.mean, "holds": holds(ours, budget), "mean": ours["mean"], "worst": ours["worst"]}
+        entry: Row = {"error": budget.mean, "holds": ours["holds"], "mean": ours["mean"], "worst": ours["worst"]}
         for name in ("active", "blas_bytes"):
             best = min(able, key=lambda r: r[name])
             entry |= {

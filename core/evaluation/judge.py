@@ -146,9 +146,7 @@ class Judge:
         start = time.perf_counter()
         self.loop.tracer.trace_again(keep, self.passes[0].first_sample, TIMED)
         cost["trace_s"] = time.perf_counter() - start
-        half = TWO_SIDED_95 * change.mean_deviation, TWO_SIDED_95 * change.worst_deviation
-        error = {"mean": change.mean, "mean_ci": half[0], "worst": change.worst, "worst_ci": half[1]}
-        return cost | error | linear_error(self.full, culled), culled
+        return cost | error_of(change) | linear_error(self.full, culled), culled
 
     def noise_floor(self) -> dict[str, float]:
         """Error of the full picture with other random numbers: no culling can be seen below it."""
@@ -176,6 +174,12 @@ class Judge:
         weights = Weights.zeros(len(self.tlas), float(tile_means(self.full).mean()))
         self.loop.tracer.trace(self.tlas, samples, weights=weights, progress=progress)
         return weights.relative(), self.tlas.ids
+
+
+def error_of(change: ErrorEstimate) -> dict[str, float]:
+    """Mean and worst tile by name, each with half of its confidence interval of 95 %."""
+    half = TWO_SIDED_95 * change.mean_deviation, TWO_SIDED_95 * change.worst_deviation
+    return {"mean": change.mean, "mean_ci": half[0], "worst": change.worst, "worst_ci": half[1]}
 
 
 def _broken(change: ErrorEstimate, budget: Budget) -> bool:

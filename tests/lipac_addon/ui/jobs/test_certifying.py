@@ -64,7 +64,12 @@ def test_each_frame_has_a_certificate_of_the_shots_set(shot: Any, monkeypatch: p
 def test_a_frame_in_which_it_does_not_hold_is_analysed_closer(shot: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     closer = []
     decide = union.decide_closer
-    monkeypatch.setattr(union, "decide_closer", lambda *given: closer.append(1) or decide(*given))
+
+    def counted(*given: Any) -> Any:
+        closer.append(1)
+        return decide(*given)
+
+    monkeypatch.setattr(union, "decide_closer", counted)
     calls = judged(monkeypatch, lambda call: call != 2)
     baked(shot)
     assert len(closer) >= 1
