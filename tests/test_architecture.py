@@ -37,7 +37,7 @@ FLOORS = (
     "page",
     "core.warmup",
     "lipac_addon.console lipac_addon.keys lipac_addon.timeline lipac_addon.depsgraph lipac_addon.pictures "
-    "lipac_addon.images lipac_addon.roles lipac_addon.attributes",
+    "lipac_addon.images lipac_addon.roles lipac_addon.attributes lipac_addon.coarsening",
     "lipac_addon.extract.materials",
     "lipac_addon.extract.geometry",
     "lipac_addon.extract",

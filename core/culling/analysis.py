@@ -18,14 +18,13 @@ from ..error_budget.fitting import least_that_fits
 from ..error_budget.search import DENSER, TRIALS, WORTH_WHILE, Choice, Search, gain
 from ..error_budget.trial import Trial
 from ..error_budget.units import Seen, Units, units_of
-from ..errors import InputError
 from ..feedback.path_log import PathLog
 from ..feedback.tiles import DARK, marks
 from ..files.figures import percent
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import MORE, STEEPEST, Certificate, Verdict
-from .levels.levelled import CULLING, PROPOSALS, has_levels, levelled
+from .levels.levelled import CULLING, PROPOSALS, Levelled, has_levels, levelled
 from .loop import Loop
 from .measurement import Measurement, Traced, evidence
 from .options import CullOptions
@@ -126,22 +125,28 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     uses at least 1 / options.hysteresis of the budget; else bytes that go with what it kept count for less by that
     factor.
     """
+    judged, found = _within(loop, measured, budget, progress)
+    return _decided(loop, *judged, found)
+
+
+def _within(
+    loop: Loop, measured: Measurement, budget: Budget, progress: Progress
+) -> tuple[tuple[Measurement, Units, list[Choice], Verdict, int], Levelled | None]:
+    """What surely keeps a budget, as of `_judged`, and what is exchanged, where anything is."""
     if not has_levels(loop):
-        measured, units, steps, verdict, searched, _ = _judged(loop, measured, budget, progress)
-        return _decided(loop, measured, units, steps, verdict, searched)
+        return _judged(loop, measured, budget, progress)[:-1], None
     tighter = Budget(CULLING * budget.mean, CULLING * budget.worst)
-    judged = _judged(loop, measured, tighter, part(progress, 0.0, 0.5), PROPOSALS)
+    judged = _judged(loop, measured, tighter, part(progress, 0.0, 0.4), PROPOSALS)
     measured, units, steps, verdict, searched, certificate = judged
-    found = None
     if verdict.cull is not None:
         keep = loop.twins.joined(loop.scene.instances.bounds, verdict.keep | loop.activation.pinned)
         estimate = certificate.judge(keep, doubts=False)
-        found = levelled(loop, measured, certificate, keep, estimate, budget, part(progress, 0.5, 1.0))
-    if found is None:
-        return _decided(loop, measured, units, steps, verdict, searched)
-    verdict = replace(verdict, estimate=found.estimate, unknown=certificate.unknown, paths=certificate.paths)
-    result = _decided(loop, measured, units, steps, verdict, searched)
-    return replace(result, stats=result.stats | found.figures, stand_ins=found.stand_ins)
+        found = levelled(loop, measured, certificate, keep, estimate, budget, part(progress, 0.4, 0.8))
+        if found is not None:
+            return (measured, units, steps, found.verdict(verdict, certificate), searched), found
+    # all of the budget is culling's, but for the doubt that was spent on levels
+    measured, units, steps, verdict, more, _ = _judged(loop, measured, budget, part(progress, 0.8, 1.0), PROPOSALS)
+    return (measured, units, steps, verdict, searched + more), None
 
 
 def by_memory(
@@ -153,8 +158,13 @@ def by_memory(
     Raises InputError where that cannot be.
     """
     _check_memory(loop, loop.activation.pinned, limit)
-    measured, units, steps, verdict, searched, _ = _judged(loop, measured, budget, part(progress, 0.0, 0.5))
+    (measured, units, steps, verdict, searched), found = _within(loop, measured, budget, part(progress, 0.0, 0.5))
     bound, ids = budget, measured.tlas.ids
+    if found is not None and (whole := loop.scene.render_costs) is not None:
+        loop.scene = replace(loop.scene, render_costs=found.costs(whole))
+        if not _fits(loop, verdict.keep, limit):
+            found = found.of_whole_meshes()
+            loop.scene = replace(loop.scene, render_costs=found.costs(whole))
     while not _fits(loop, verdict.keep, limit):
         if bound.mean > WIDEST:
             _check_memory(loop, kept_of(loop, units, np.isfinite(units.worth).all(axis=1), ids), limit)
@@ -170,9 +180,13 @@ def by_memory(
 
         cull = least_that_fits(sets, units, search.savings, fits)
         if cull is not None:
-            judge = Certificate(loop, measured.next_sample, measured.samples, bound)
-            verdict = judge.verdict(cull, kept_of(loop, units, cull, ids), part(progress, 0.5, 1.0))
-    result = _decided(loop, measured, units, steps, verdict, searched)
+            keep, samples = kept_of(loop, units, cull, ids), measured.samples
+            judge = Certificate(loop, measured.next_sample, samples, bound)
+            verdict = judge.verdict(cull, keep, part(progress, 0.5, 1.0))
+            if found is not None:
+                found = found.again(judge, loop.twins.joined(loop.scene.instances.bounds, keep), bound)
+                verdict = found.verdict(verdict, judge)
+    result = _decided(loop, measured, units, steps, verdict, searched, found)
     return replace(result, stats=result.stats | {"memory_limit_bytes": limit})
 
 
@@ -189,19 +203,9 @@ def _at_most(loop: Loop, keep: np.ndarray) -> int:
 
 def _check_memory(loop: Loop, least: np.ndarray, limit: int) -> None:
     """Raise InputError where not even the instances of least, (N,) bool, fit into a limit."""
-    costs, needed = loop.scene.render_costs, _at_most(loop, least)
-    if needed > limit:
-        assert costs is not None
-        fixed = costs.at_most(costs.fixed + costs.process)
-        raise InputError(
-            f"--memory {_megabytes(limit)}: the render takes at least {_megabytes(needed)}: {_megabytes(fixed)} for "
-            f"Blender, the file and the picture, {_megabytes(needed - fixed)} for what cannot be culled"
-        )
-
-
-def _megabytes(count: int) -> str:
-    """Rounded up, as --memory takes it."""
-    return f"{-(-count // 1_000_000)}M"
+    needed, costs = _at_most(loop, least), loop.scene.render_costs
+    if costs is not None and needed > limit:
+        raise costs.too_little(needed, limit)
 
 
 def _judged(
@@ -229,10 +233,16 @@ def _judged(
 
 
 def _decided(
-    loop: Loop, measured: Measurement, units: Units, steps: list[Choice], verdict: Verdict, searched: int
+    loop: Loop,
+    measured: Measurement,
+    units: Units,
+    steps: list[Choice],
+    verdict: Verdict,
+    searched: int,
+    found: Levelled | None = None,
 ) -> CullingResult:
     """States and figures by what is certified; where nothing is, all that can be built stays, and a warning says so.
-    searched: paths of the search."""
+    searched: paths of the search; found: what is exchanged."""
     warnings = []
     cull, keep, estimate, unknown = verdict.cull, verdict.keep, verdict.estimate, verdict.unknown
     if cull is None:
@@ -274,7 +284,10 @@ def _decided(
         "certificate_paths": verdict.paths,
     }
     tiles = estimate.upper_tiles(verdict.confidence).astype(np.float32)
-    return replace(loop.result(keep, score, measured.feedback.hits, tuple(warnings), **error), tiles=tiles)
+    result = replace(loop.result(keep, score, measured.feedback.hits, tuple(warnings), **error), tiles=tiles)
+    if found is None:
+        return result
+    return replace(result, stats=result.stats | found.figures, stand_ins=found.stand_ins)
 
 
 def _searched(

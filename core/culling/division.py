@@ -8,8 +8,9 @@ which paths ask for in turn. So whole meshes are never built where parts do, and
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,30 +27,33 @@ from .policies import LIGHT_PATHS
 from .result import CullingResult
 
 PART = 256  # triangles of a part: with fewer more is culled, with more the parts' own structures are smaller
+HELD = 1 << 25  # triangles of whole meshes that are kept for the next of their parts: a gigabyte; others are read again
 
 
 @dataclass(frozen=True)
 class Parts:
-    """A mesh in parts. order: (T,) int32 its triangles, part by part; ends: (P,) int64 where each part ends in it.
-    boxes: (P, 2, 3) float32, object space."""
+    """A mesh in parts. read: gives the mesh. order: (T,) int32 its triangles, part by part; ends: (P,) int64 where each
+    part ends in it. boxes: (P, 2, 3) float32, object space."""
 
-    mesh: Mesh
+    read: Callable[[], Mesh]
     order: I32
     ends: I64
     boxes: F32
 
     @staticmethod
-    def of(mesh: Mesh) -> Parts:
+    def of(read: Callable[[], Mesh]) -> Parts:
         """Divide a mesh into runs of PART triangles along a Morton curve."""
+        mesh = read()
         boxes = triangle_boxes(mesh.positions, mesh.triangles)
         order = spatial_order(boxes)
         ends = np.minimum(np.arange(PART, len(order) + PART, PART), len(order))
-        return Parts(mesh, order, ends, enclosing(boxes[order], PART))
+        return Parts(read, order, ends, enclosing(boxes[order], PART))
 
     @staticmethod
-    def by(mesh: Mesh, faces: NDArray[np.bool_]) -> Parts:
+    def by(read: Callable[[], Mesh], faces: NDArray[np.bool_]) -> Parts:
         """Divide a mesh into two: the triangles of faces, (F,) bool, of which there are some, and the others, likewise.
         Raises ValueError where the mesh has another number of faces."""
+        mesh = read()
         count = len(mesh.triangles) if mesh.faces is None else int(mesh.faces.max(initial=-1)) + 1
         if len(faces) != count:
             raise ValueError("a mesh with other faces")
@@ -58,7 +62,7 @@ class Parts:
         ends = np.array([np.count_nonzero(first), len(first)])
         boxes = triangle_boxes(mesh.positions, mesh.triangles)
         both = [boxes[first], boxes[~first]]
-        return Parts(mesh, order, ends, np.stack([np.stack((b[:, 0].min(axis=0), b[:, 1].max(axis=0))) for b in both]))
+        return Parts(read, order, ends, np.stack([np.stack((b[:, 0].min(axis=0), b[:, 1].max(axis=0))) for b in both]))
 
     @property
     def sizes(self) -> I64:
@@ -67,7 +71,7 @@ class Parts:
 
     def part(self, number: int) -> Mesh:
         """One of them, with vertices of its own."""
-        mesh, chosen = self.mesh, self.order[self.ends[number] - self.sizes[number] : self.ends[number]]
+        mesh, chosen = self.read(), self.order[self.ends[number] - self.sizes[number] : self.ends[number]]
         vertices, corners = np.unique(mesh.triangles[chosen], return_inverse=True)
         return Mesh(
             mesh.positions[vertices],
@@ -80,10 +84,30 @@ class Parts:
     def faces(self, parts: np.ndarray) -> np.ndarray:
         """(F,) bool, faces of the mesh of which a triangle is in one of parts, (P,) bool."""
         triangles = self.order[np.repeat(parts, self.sizes)]
-        faces = self.mesh.faces
+        faces = self.read().faces
         out = np.zeros(len(self.order) if faces is None else int(faces.max()) + 1, bool)
         out[triangles if faces is None else faces[triangles]] = True
         return out
+
+
+class _LastRead:
+    """Meshes of a scene, of which those that were read last are held: parts of one are built one after the other."""
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        self._meshes = meshes
+        self._held: dict[int, Mesh] = {}  # the latest last
+
+    def mesh(self, number: int) -> Mesh:
+        """A mesh, read where it is not held."""
+        found = self._held.pop(number, None) or self._meshes[number]
+        self._held[number] = found
+        while len(self._held) > 1 and sum(len(mesh.triangles) for mesh in self._held.values()) > HELD:
+            del self._held[next(iter(self._held))]
+        return found
+
+    def reader(self, number: int) -> Callable[[], Mesh]:
+        """What gives a mesh."""
+        return partial(self.mesh, number)
 
 
 class _Meshes(MeshSequence):
@@ -129,6 +153,7 @@ class Division:
         instances = scene.instances
         users = np.bincount(instances.mesh, minlength=len(scene.meshes))
         self._whole = self.scene = scene
+        self._last_read = _LastRead(scene.meshes)
         self._may = ((instances.flags & InstanceFlag.DIVISIBLE) != 0) & (users[instances.mesh] == 1)
         self._may[emissive_instances(scene)] = False  # light sampling picks triangles of these
         self._rows: list[int] = []
@@ -141,7 +166,7 @@ class Division:
         out = Division(scene)
         out._may[:] = False
         out._rows = list(faces)
-        out._parts = [Parts.by(scene.meshes[int(scene.instances.mesh[row])], mask) for row, mask in faces.items()]
+        out._parts = [Parts.by(out._reader(row), mask) for row, mask in faces.items()]
         out._renew()
         return out
 
@@ -150,14 +175,18 @@ class Division:
         count = len(self._rows)
         for row in np.flatnonzero(active[: len(self._may)] & self._may).tolist():
             self._may[row] = False
-            mesh = self._whole.meshes[int(self._whole.instances.mesh[row])]
-            if len(mesh.triangles) >= DIVIDED_FROM:
+            read = self._reader(row)
+            if len(read().triangles) >= DIVIDED_FROM:
                 self._rows.append(row)
-                self._parts.append(Parts.of(mesh))
+                self._parts.append(Parts.of(read))
         if count == len(self._rows):
             return False
         self._renew()
         return True
+
+    def _reader(self, row: int) -> Callable[[], Mesh]:
+        """What gives the mesh of an instance."""
+        return self._last_read.reader(int(self._whole.instances.mesh[row]))
 
     def _renew(self) -> None:
         whole, rows, boxes = self._whole.instances, np.array(self._rows), [parts.boxes for parts in self._parts]

@@ -14,7 +14,7 @@ from ..accel.residency import Residency
 from ..accel.tlas import Tlas
 from ..arrays import F32, I32, I64, U8
 from ..tracing.tracer import Prepared
-from .levels.stand_ins import StandIn
+from .levels.stand_ins import Coarser, StandIn
 from .options import State
 
 
@@ -51,7 +51,7 @@ class CullingResult:
     warnings: tuple[str, ...] = ()
     faces: Mapping[int, np.ndarray] = field(default_factory=dict)
     tiles: F32 | None = None
-    stand_ins: Mapping[int, StandIn] = field(default_factory=dict)
+    stand_ins: Mapping[int, StandIn | Coarser] = field(default_factory=dict)
     built: Built | None = field(default=None, repr=False, compare=False)
 
     @property

@@ -8,12 +8,13 @@ each frame of the shot, by as few paths as say so surely.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import I64
 from ..error_budget.budget import Budget, select
 from ..error_budget.error_estimate import CONFIDENCE, NOTHING, Light, Reference
 from ..feedback.tiles import TILES
@@ -23,6 +24,9 @@ from ..scene.model import RAY_TYPES
 from .analysis import by_budget, decide, kept_of, units_measured
 from .certificate import Certificate
 from .division import Division
+from .levels.exchange import with_levels
+from .levels.levelled import has_levels, proposed_levels
+from .levels.stand_ins import Alternative, Coarser, StandIn
 from .loop import Loop, mean_luminance
 from .result import CullingResult
 
@@ -48,12 +52,19 @@ def propose(loop: Loop, progress: Progress = silent) -> CullingResult:
     light = Light.of(Reference(measured.log, known=loop.known))
     units, savings = units_measured(loop, measured, budget, light)
     saved = units.saved(savings, np.ones(len(units), bool))
-    selection = select(units.worth, saved, PROPOSED * budget.mean, PROPOSED * budget.worst)
+    bounds = PROPOSED * budget.mean, PROPOSED * budget.worst
+    selection = select(units.worth, saved, *bounds)
     score = np.zeros(len(loop.activation), np.float32)
     score[measured.tlas.ids] = measured.worth.mean(axis=1)
     predicted = {"predicted_mean": selection.mean, "predicted_worst": selection.worst}
     keep = kept_of(loop, units, selection.cull, measured.tlas.ids)
-    return loop.result(keep, score, measured.feedback.hits, (), **predicted)
+    levels: dict[int, StandIn | Coarser] = {}
+    figures: dict[str, float | int] = {}
+    if has_levels(loop):
+        kept = loop.twins.joined(loop.scene.instances.bounds, keep)
+        levels, figures = proposed_levels(loop, measured, kept, *bounds)
+    result = loop.result(keep, score, measured.feedback.hits, (), **predicted)
+    return replace(result, stats=result.stats | figures, stand_ins=levels)
 
 
 def decide_closer(loop: Loop, progress: Progress = silent) -> CullingResult:
@@ -81,23 +92,28 @@ def check(
     faces: Mapping[int, NDArray[np.bool_]],
     earlier: int = 0,
     progress: Progress = silent,
+    levels: Sequence[tuple[I64, Alternative]] = (),
 ) -> Check:
     """Judge a set that other frames chose, in a frame that nothing is known of.
 
     keep: (N,) bool, what stays; met: (N,) bool, what else paths of other frames met: it spares looking for it. faces:
     by row of what stays, (F,) bool, those faces of it that do, where those are not all. earlier: how many sets this
     frame has judged before: each has other paths, and a smaller share of the doubt, so that all together have that of
-    one certificate.
+    one certificate. levels: rows, and what takes the place of their mesh; of none of these there are faces.
 
-    Raises ValueError where a mesh has other faces, Cancelled.
+    Raises ValueError where a mesh has other faces, or one that is to be exchanged emits; Cancelled.
     """
     _begin(loop, keep | met, faces)
     stays = (np.append(keep, np.tile([True, False], len(faces))) & loop.activation.exists) | loop.activation.pinned
     confidence = 1 - (1 - CONFIDENCE) / 2 ** (earlier + 1)
     samples = np.full(TILES, max(-(-loop.first_samples // FEWER), LEAST_PATHS))
     judge = Certificate(loop, CHECKS_FROM + earlier * CHECK_SAMPLES, samples, loop.options.max_error, confidence)
-    whole = bool((stays == loop.activation.exists).all())
-    estimate = NOTHING if whole else judge.judge(stays, progress)
+    whole = not levels and bool((stays == loop.activation.exists).all())
+    estimate = NOTHING if whole else judge.judge(stays, progress, doubts=not levels)
+    exchange = with_levels(loop, stays, levels) if levels else None
+    if exchange is not None:
+        budget = loop.options.max_error
+        estimate = judge.judge_exchanged(exchange.tracer, exchange.rows, exchange.tlas, budget, progress)
     sure, unknown = 0.5 * (1 + judge.each), judge.unknown
     figures = {
         "certified_mean": estimate.upper_mean(sure),
@@ -110,6 +126,10 @@ def check(
     n = len(loop.activation)
     result = loop.result(stays, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64), (), **figures)
     result = replace(result, tiles=estimate.upper_tiles(sure).astype(np.float32))
+    if exchange is not None:
+        stats = result.stats | exchange.figures | {"levels": len(levels)}
+        mesh = loop.scene.instances.mesh
+        result = replace(result, stats=stats, stand_ins={int(mesh[rows[0]]): level.what for rows, level in levels})
     may = whole or not loop.scene.whole
     return Check(may and estimate.surely_holds(loop.options.max_error, judge.each), result)
 

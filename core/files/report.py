@@ -24,7 +24,7 @@ from ..errors import InputError
 from ..progress import clock
 from .atomic import alone, check_writable, replacing
 from .figures import percent, size
-from .level import Level, level_arrays, read_levels
+from .level import AnyLevel, level_arrays, read_levels
 from .memory_table import MemoryRow, merged, read_rows, write_rows
 from .usage import peak_memory
 
@@ -287,7 +287,7 @@ class States:
     names: tuple[str, ...]
     note: str = ""
     faces: Mapping[str, np.ndarray] = field(default_factory=dict)
-    levels: Mapping[str, Level] = field(default_factory=dict)
+    levels: Mapping[str, AnyLevel] = field(default_factory=dict)
 
 
 def save_states(
@@ -301,7 +301,7 @@ def save_states(
     boxes: F64 | None = None,
     faces: Mapping[str, np.ndarray] | None = None,
     certified: F32 | None = None,
-    levels: Mapping[str, Level] | None = None,
+    levels: Mapping[str, AnyLevel] | None = None,
 ) -> None:
     """Write the states of a frame (states/frame_0001.npz).
 

@@ -194,6 +194,8 @@ STATES: dict[str, tuple[str, tuple[str | int, ...], str]] = {
     "level_counts": ("i", ("L",), "triangles of each"),
     "level_corners": ("i", ("S", 3), "of each triangle of these, one mesh after the other: corners of the whole mesh"),
     "level_faces": ("i", ("S",), "and the face of the whole mesh whose material it has"),
+    "coarser_names": ("U", ("C",), "objects whose render levels of subdivision are fewer, where there are any"),
+    "coarser_steps": ("u", ("C",), "by how many of each"),
     "note": ("U", (), "a text kept with it, where there is one"),
 }
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F32, F64, I32, U8, Records
-from .mesh import Mesh, MeshTable
+from .mesh import CoarserMeshes, Mesh, MeshTable
 from .render_costs import RenderCosts
 
 
@@ -332,7 +332,8 @@ class Scene:
     first_hits: what camera rays meet, where it is known from elsewhere, by width and height of the picture: paths of
     such a picture start there. shutter: the camera at evenly spaced moments of an exposure, of which each path takes
     one at random; none: it stands still. whole: why nothing may be culled by light paths, in words; "": it may.
-    simplifiable: (M,) bool, meshes that may be exchanged for simplified ones; None: none.
+    simplifiable: (M,) bool, meshes that may be exchanged for simplified ones; None: none. coarser: meshes that can be
+    had with fewer triangles.
     """
 
     instances: Instances
@@ -354,6 +355,7 @@ class Scene:
     render_costs: RenderCosts | None = None
     whole: str = ""
     simplifiable: NDArray[np.bool_] | None = None
+    coarser: CoarserMeshes | None = None
 
 
 def default_material() -> Records:

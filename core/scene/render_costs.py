@@ -8,12 +8,14 @@ the same time depends on the processors; rates are those of many meshes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F64, I32, I64
+from ..errors import InputError
 
 # Bytes of a mesh: (of each triangle, vertex, and corner of a triangle with UVs that a material reads)
 TRIANGLE, VERTEX, UV_CORNER = 44, 28, 16
@@ -122,9 +124,28 @@ class RenderCosts:
         """What a render does not exceed for which so many bytes are predicted."""
         return total + round(ERROR * (total - self.process)) + SLACK
 
+    def too_little(self, needed: int, limit: int) -> InputError:
+        """What is said where a render takes more than a limit, whatever is culled. needed: what it takes at least."""
+        fixed = self.at_most(self.fixed + self.process)
+        return InputError(
+            f"--memory {_megabytes(limit)}: the render takes at least {_megabytes(needed)}: {_megabytes(fixed)} for "
+            f"Blender, the file and the picture, {_megabytes(needed - fixed)} for what cannot be culled"
+        )
+
     def with_images_that_stay(self, stay: NDArray[np.bool_]) -> RenderCosts:
         """Where images, (I,) bool, are loaded whatever is culled."""
         return replace(self, image=np.where(stay, 0, self.image), fixed=self.fixed + int(self.image[stay].sum()))
+
+    def with_levels(self, shares: Sequence[tuple[I32, float]]) -> RenderCosts:
+        """Where meshes have a share of their triangles. Of several, which are parts of one, what is left is there
+        whatever of them is culled."""
+        geometry, bvh, fixed = self.geometry.copy(), self.bvh.copy(), self.fixed
+        for meshes, share in shares:
+            of = self.mesh[meshes].sum() if len(meshes) > 1 else 0
+            fixed += int(np.ceil(share * of))
+            for bytes_of in (geometry, bvh):
+                bytes_of[meshes] = 0 if len(meshes) > 1 else np.ceil(share * bytes_of[meshes])
+        return replace(self, geometry=geometry, bvh=bvh, fixed=fixed)
 
     def divided(self, owner: I64, parts: list[tuple[int, I64]]) -> RenderCosts:
         """Of the scene in which meshes are divided: parts have a share of the bytes by triangles, instances of them
@@ -143,3 +164,8 @@ class RenderCosts:
         return replace(
             self, geometry=geometry, bvh=bvh, cutting=np.append(cutting, none), instance=instance, fixed=fixed
         )
+
+
+def _megabytes(count: int) -> str:
+    """Rounded up, as --memory takes it."""
+    return f"{-(-count // 1_000_000)}M"

@@ -13,7 +13,7 @@ import numpy as np
 from ...core.arrays import F32, F64, I64, U8, Records
 from ...core.culling.options import State
 from ...core.errors import NothingToAnalyse
-from ...core.files.level import Level
+from ...core.files.level import AnyLevel
 from ...core.files.memory_table import MemoryRow
 from ...core.files.report import States, save_states
 from ...core.progress import Progress, part, silent
@@ -52,7 +52,7 @@ class Decided:
     faces: Mapping[str, np.ndarray] = field(default_factory=dict)
     tiles: F32 | None = None
     weighed: tuple[Weighed, ...] = ()
-    levels: Mapping[str, Level] = field(default_factory=dict)
+    levels: Mapping[str, AnyLevel] = field(default_factory=dict)
 
     @property
     def keys(self) -> Keys:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...core.culling.options import State
 from ...core.error_budget.budget import Budget
-from ...core.files.level import Level
+from ...core.files.level import AnyLevel
 from ...core.files.memory_table import MemoryRow
 from ...core.files.report import Report, save_states
 from ...core.files.usage import resident_memory
@@ -250,7 +250,7 @@ def write_back(
     entry: dict[str, Any],
     faces: Mapping[str, np.ndarray],
     lasting: bool = False,
-    levels: Mapping[str, Level] = NO_LEVELS,
+    levels: Mapping[str, AnyLevel] = NO_LEVELS,
 ) -> tuple[list[str], WritebackResult]:
     """Take culled (N,) bool out of renders of the open file; what that came to goes into the frame's entry, what could
     not be is said in the lines returned.

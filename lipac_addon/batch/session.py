@@ -23,6 +23,7 @@ from .. import roles, writeback
 from ..console import muted
 from ..depsgraph import rendered_layers
 from ..extract import Extraction, Extractor
+from ..extract.geometry.coarser import EvaluatedCoarser
 from ..keys import any_of
 from ..memory.limit import PROCESS, limited
 from ..memory.stakes import NothingToWin, stakes_of
@@ -48,7 +49,8 @@ class Session:
         self.job, self.layer = job, layer
         renders = bool(job.engine) and ENGINES[job.engine].uses_blender
         self.alone = keep
-        self.keep = keep and not renders and len(job.frames) > 1
+        # Blender evaluates once more for meshes with fewer triangles, which another graph would come in between
+        self.keep = keep and not renders and len(job.frames) > 1 and not job.options.levels
         self._extractor: Extractor | None = None
         self._shot: Shot | None = None
         self._pinned: NDArray[np.bool_] | None = None  # what the frame needs at other moments of its exposure
@@ -156,8 +158,12 @@ class Session:
             self._shot = Shot(self.job.options, independent=not self.job.warm)
         scene = scene or extraction.scene
         if extraction.moments or not self.alone:  # simplified meshes are judged by one moment of one picture
-            scene = replace(scene, simplifiable=None)
-        return self._shot.advance(scene, extraction.change, progress, cancelled, pinned, how or decide)
+            scene = replace(scene, simplifiable=None, coarser=None)
+        result = self._shot.advance(scene, extraction.change, progress, cancelled, pinned, how or decide)
+        if not self.job.options.levels or not isinstance(scene.coarser, EvaluatedCoarser):
+            return result
+        fixed = scene.coarser.kept(scene.instances.mesh[result.active])
+        return replace(result, warnings=(*result.warnings, *fixed))
 
     def decided(self, extraction: Extraction, progress: Progress, cancelled: Cancel) -> CullingResult:
         """As `decide`, of the frame as it is."""

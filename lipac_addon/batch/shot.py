@@ -17,6 +17,7 @@ from ...core.files.report import UNREADABLE, Report, States, load_states, save_s
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import RAY_TYPES
 from ..depsgraph import show_frame
+from ..writeback.plan import NO_LEVELS
 from .baked import save_baked
 from .deciding import decide_layers
 from .engines.choices import BLENDER_ENGINES
@@ -67,9 +68,11 @@ def _use(
 ) -> None:
     """Do a job's frames with a set. needed: what is known of a frame by itself, with its entry for the report as its
     note; share: of the progress that is done."""
+    levels = shot.levels if unites(job) else NO_LEVELS  # else they are not certified
     if job.save is not None or job.engine in BLENDER_ENGINES:
         written: dict[str, Any] = {}
-        lines, _ = write_back(~shot.active, shot.keys, written, shot.faces, lasting=job.save is not None)
+        lasting = job.save is not None
+        lines, _ = write_back(~shot.active, shot.keys, written, shot.faces, lasting, levels)
         report.note(report.warnings, lines)
     if job.save is not None:
         save_baked(job.save)
@@ -108,6 +111,7 @@ def _use(
                 shot.records_of(states),
                 shot.keys.names,
                 faces=shot.faces,
+                levels=levels,
             )
             report.add_frame(entry)
             report.write(job.folder)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...core.arrays import Records
 from ...core.culling.options import State
-from ...core.files.level import Level
+from ...core.files.level import AnyLevel, Steps, finest
 from ...core.files.report import States
 from ..keys import KEY, Keys, Kind, packed
 
@@ -20,7 +20,7 @@ class ShotSet:
 
     active: (N,) bool, those that were kept in one of the frames; met: (N,) bool, those that paths of one met, or that
     it keeps; `keys` belong to both. faces: by name of an object that no frame keeps as a whole, (F,) bool, faces that
-    one of them keeps. levels: as of `States`, where there is but one frame.
+    one of them keeps. levels: as of `States`, of objects that all frames which keep them have levels of: the finest.
     """
 
     def __init__(self) -> None:
@@ -29,8 +29,9 @@ class ShotSet:
         self._records: Records = np.zeros(0, KEY)
         self._names: dict[str, int] = {}
         self.faces: dict[str, NDArray[np.bool_]] = {}
-        self.levels: Mapping[str, Level] = {}
-        self._frames = 0
+        self.levels: dict[str, AnyLevel] = {}
+        self._fine: set[str] = set()  # objects that a frame keeps as they are, or whose levels do not go together
+        self._cut: set[str] = set()  # objects of which a frame keeps some faces: its level has those alone
         self._whole: set[str] = set()  # objects that a frame keeps with all faces
 
     @property
@@ -40,8 +41,6 @@ class ShotSet:
 
     def add(self, states: States) -> None:
         """Take a frame in."""
-        self._frames += 1
-        self.levels = states.levels if self._frames == 1 else {}
         records = self.records_of(states)
         rows, known = self._rows(records)
         kept = states.state != State.CULLED
@@ -52,6 +51,7 @@ class ShotSet:
             self._records = np.concatenate([self._records, records[~known]])
             self.active, self.met = np.append(self.active, kept[~known]), np.append(self.met, met[~known])
         self._add_faces(states, kept)
+        self._add_levels(states, kept)
 
     def _add_faces(self, states: States, kept: NDArray[np.bool_]) -> None:
         """Take in which faces of its objects a frame keeps; where these have other faces than before, all."""
@@ -63,6 +63,21 @@ class ShotSet:
             self.faces[name] = mask if name not in self.faces or name in self._whole else self.faces[name] | mask
         for name in self._whole & self.faces.keys():
             del self.faces[name]
+
+    def _add_levels(self, states: States, kept: NDArray[np.bool_]) -> None:
+        """Take in what takes the place of meshes in a frame."""
+        shown = np.unique(states.keys["object"][kept])
+        for name in {states.names[n] for n in shown[shown >= 0].tolist()} - self._fine:
+            level = states.levels.get(name)
+            if name in states.faces:
+                self._cut.add(name)
+            if level is not None and name in self.levels:
+                level = finest(self.levels[name], level, name in self._cut)
+            if level is None:
+                self._fine.add(name)
+                self.levels.pop(name, None)
+            else:
+                self.levels[name] = level
 
     def of(self, states: States) -> NDArray[np.bool_]:
         """Which of a frame's instances, (n,) bool, are active. Raises ValueError where the frame was not added."""
@@ -83,18 +98,22 @@ class ShotSet:
         return active, met
 
     def faces_of(self, keys: Keys, active: NDArray[np.bool_]) -> dict[int, NDArray[np.bool_]]:
-        """By row of an object that is active, (n,) bool, faces of it that are, (F,) bool, where those are some."""
+        """By row of an object that is active, (n,) bool, faces of it that are, (F,) bool, where those are some, and
+        nothing takes the place of its mesh."""
         objects = np.flatnonzero(active & (keys.records["kind"] == Kind.OBJECT)).tolist()
-        named = ((row, self.faces.get(keys.names[keys.records["object"][row]])) for row in objects)
+        names = ((row, keys.names[keys.records["object"][row]]) for row in objects)
+        named = ((row, self.faces.get(name)) for row, name in names if name not in self.levels)
         return {row: mask for row, mask in named if mask is not None and mask.any() and not mask.all()}
 
     @property
     def digest(self) -> str:
-        """SHA-256 of a set: which instances there are, and which of them and of their faces stay."""
+        """SHA-256 of a set: which instances there are, which of them and of their faces stay, and what takes the place
+        of meshes."""
         faces = (part for name in sorted(self.faces) for part in (name.encode(), self.faces[name].tobytes()))
+        levels = (part for name in sorted(self.levels) for part in (name.encode(), *_parts(self.levels[name])))
         names = "\0".join(self._names).encode()
         return hashlib.sha256(
-            b"\0".join((packed(self._records).tobytes(), names, self.active.tobytes(), *faces))
+            b"\0".join((packed(self._records).tobytes(), names, self.active.tobytes(), *faces, *levels))
         ).hexdigest()
 
     def records_of(self, states: States) -> Records:
@@ -119,3 +138,8 @@ class ShotSet:
         order = np.argsort(mine)
         at = np.minimum(np.searchsorted(mine, theirs, sorter=order), len(mine) - 1)
         return order[at], mine[order[at]] == theirs
+
+
+def _parts(level: AnyLevel) -> tuple[bytes, ...]:
+    """All that a level is."""
+    return (b"%d" % level.steps,) if isinstance(level, Steps) else (level.corners.tobytes(), level.faces.tobytes())

@@ -25,6 +25,7 @@ from ...core.files.report import UNREADABLE, Report, States, load_states
 from ...core.progress import Progress, part, silent
 from .. import roles
 from ..extract import Extraction
+from ..extract.geometry.coarser import alternatives
 from ..keys import Keys
 from .deciding import Decided, decide_layers
 from .job import Cancel, Job, check
@@ -95,8 +96,9 @@ def judgement(together: ShotSet, keys: Keys, earlier: int, held: list[bool], own
 
     def how(loop: Loop, progress: Progress) -> CullingResult:
         try:
-            found = union.check(loop, active, met, faces, earlier, progress)
-        except ValueError:  # other faces than in the frames that chose them
+            levels = alternatives(loop.scene, keys, active, together.levels) if together.levels else ()
+            found = union.check(loop, active, met, faces, earlier, progress, levels)
+        except ValueError:  # other meshes than in the frames that chose them
             found = replace(union.check(loop, active, met, {}, earlier, progress), holds=False)
         # a picture without anything is no picture, whatever the paths say, until the frame itself has said so
         held.append(found.holds and (bool(active.any()) or own))
@@ -130,7 +132,7 @@ class Uniting:
         with ExitStack() as stack:
             self._sessions = [stack.enter_context(session) for session in sessions_of(self.job)]
             for session in self._sessions:  # nothing is rendered until they are closed
-                session.keep = len(self._sessions) == 1
+                session.keep = len(self._sessions) == 1 and not self.job.options.levels
             while True:
                 done = len(certified) / len(order)
                 self._set = together, digest = self._together(part(progress, 0.8 * done, 0.8 * done + 0.1))
@@ -188,7 +190,7 @@ class Uniting:
             line = f"frame {frame}: of nothing it is sure that the picture may go without it: all stays"
             self._report.note(self._report.warnings, [line])
             states = self._checked(frame)
-            return replace(states, state=np.full(len(states.state), State.ACTIVE, np.uint8), faces={})
+            return replace(states, state=np.full(len(states.state), State.ACTIVE, np.uint8), faces={}, levels={})
         from ...core.culling import union
 
         decide = deciding(union.propose if level == PROPOSED else union.decide_closer)
@@ -207,11 +209,13 @@ class Uniting:
             active, _ = together.found(decided.keys)
             untouched = roles.untouched(decided.keys)
             active |= False if untouched is None else untouched
+            shown = set(np.array(decided.names)[np.unique(decided.records["object"][active])].tolist())
             rows = together.faces_of(decided.keys, active)
             faces = {decided.names[decided.records["object"][row]]: mask for row, mask in rows.items()}
+            levels = {name: level for name, level in together.levels.items() if name in shown}
             state = np.where(active, State.ACTIVE, State.CULLED).astype(np.uint8)
             entry = {"entry": decided.entry, "set": digest, "holds": all(held)}
-            return replace(decided, state=state, faces=faces, entry=entry)
+            return replace(decided, state=state, faces=faces, levels=levels, entry=entry)
 
         states = self._kept(path, frame, made, lambda note: note.get("set") == digest)
         return bool(json.loads(states.note)["holds"])

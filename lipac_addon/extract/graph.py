@@ -175,7 +175,7 @@ class GraphReader:
             node.alone = item.type != "MESH"
         node.alone |= item.type == "META"
         parent = item.parent
-        mark_mesh(node, self.geometry.meshes)
+        mark_mesh(node, self.geometry.meshes, self.depsgraph.scene)
         node.replaced = parent is not None and parent.instance_type in {"VERTS", "FACES"}
         node.unsupported = tuple(lines)
 

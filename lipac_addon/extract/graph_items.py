@@ -12,11 +12,14 @@ import numpy as np
 from ...core.arrays import F64
 from ...core.scene.mesh import DIVIDED_FROM
 from ...core.scene.model import InstanceFlag
+from ..coarsening import setting_of
 from ..keys import Kind
 from .geometry.geometry_sets import Geometry
 from .geometry.mesh_table import MeshTable
 from .lights import LampData
 from .materials.wholeness import needs_whole_mesh, reads_triangles
+
+LOOKED_AT = "particles, instances or a material go by their triangles"
 
 
 @dataclass(eq=False)
@@ -155,12 +158,27 @@ def is_simplifiable(node: Node) -> bool:
     return not any(needs_whole_mesh(slot.material) or reads_triangles(slot.material) for slot in item.material_slots)
 
 
-def mark_mesh(node: Node, meshes: MeshTable) -> None:
-    """Mark an object of whose mesh faces may be culled, and its mesh where all that show it let it be exchanged."""
+def coarser_steps(node: Node, scene: Any) -> tuple[int, str]:
+    """By how many steps a render of a scene (bpy.types.Scene) can have fewer triangles of an object, by a setting of
+    its own, and why not; not where more than its mesh comes of these, or a material looks at them."""
+    item = node.item
+    setting = setting_of(item.original, scene)
+    if isinstance(setting, str):
+        return 0, setting
+    alone = node.kind == Kind.OBJECT and not node.marks & ~int(InstanceFlag.DIVISIBLE)
+    if not alone or len(item.particle_systems) or any(reads_triangles(slot.material) for slot in item.material_slots):
+        return 0, LOOKED_AT
+    return len(setting.values), ""
+
+
+def mark_mesh(node: Node, meshes: MeshTable, scene: Any) -> None:
+    """Mark an object of whose mesh faces may be culled, and its mesh where all that show it let it be exchanged, or
+    where it can be had coarser. scene: bpy.types.Scene."""
     if node.geometry is not None and node.geometry.mesh >= 0:
         source = meshes.source(node.geometry.mesh)
         node.marks |= int(InstanceFlag.DIVISIBLE) * (source.fibres is None and is_divisible(node))
         source.simplifiable = source.simplifiable is not False and is_simplifiable(node)
+        source.owner, (source.steps, source.fixed) = node.full_name, coarser_steps(node, scene)
 
 
 def visible_members(collection: Any) -> Iterator[Any]:

@@ -25,6 +25,7 @@ from .camera import (
     newer_than_tested,
 )
 from .differences import compare
+from .geometry.coarser import EvaluatedCoarser
 from .geometry.meshes import LazyMeshes
 from .graph import GraphReader
 from .graph_items import Node, linked_materials
@@ -175,6 +176,13 @@ class SceneReader:
             approximated=tuple(approximated),
             whole=next((line for line in shading.approximated if self.most and line.endswith(PORTAL)), ""),
             simplifiable=graph.geometry.meshes.simplifiable(),
+            coarser=EvaluatedCoarser(
+                graph.geometry.meshes.steps(),
+                graph.geometry.meshes.sources,
+                shading.uv_maps,
+                depsgraph.scene,
+                depsgraph.view_layer.name,
+            ),
         )
         scatters = {
             n.full_name: n.geometry.columns[:, 3, :3]

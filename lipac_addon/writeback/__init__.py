@@ -6,7 +6,7 @@
 - a mask modifier on geometry-nodes hosts, which removes single instances;
 - the render switch of particle systems, as a whole;
 - a face modifier on objects of which parts are culled;
-- meshes that are exchanged for simplified ones;
+- meshes that are exchanged for simplified ones, and fewer render levels of subdivision;
 - and where asked to, objects that only culled instances show are emptied, so that their images, meshes and modifiers
   cost nothing.
 
@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import F32
-from ...core.files.level import Level
+from ...core.files.level import AnyLevel, Level
 from ..keys import Keys, full_name
 from . import emptying, marks, mask
 from . import faces as face_mask
-from .levels import simplify
+from .levels import coarser_settings, simplify
 from .plan import EMPTY, NO_LEVELS, Plan, make_plan
 
 __all__ = ["WritebackResult", "apply", "restore"]
@@ -43,7 +43,8 @@ class WritebackResult:
     kept: culled instances that could not be removed, counted by the reason.
     objects, hosts, particle_hosts, sources: numbers of hidden objects, of masked geometry-nodes hosts, of emitters
     switched off, of objects emptied. face_hosts, faces_removed: numbers of objects that lost faces, and of these;
-    whole: objects that should have, counted by the reason. simplified: number of objects whose mesh is exchanged.
+    whole: objects that should have, counted by the reason. simplified: number of objects whose mesh is exchanged, or
+    subdivided less.
     reasons: why, by full name of objects of which culled instances could not be removed.
     """
 
@@ -85,7 +86,7 @@ def apply(
     in_render: bool = False,
     faces: Mapping[str, NDArray[np.bool_]] = EMPTY,
     free: bool = False,
-    levels: Mapping[str, Level] = NO_LEVELS,
+    levels: Mapping[str, AnyLevel] = NO_LEVELS,
 ) -> WritebackResult:
     """Remove culled instances from renders of the open file.
 
@@ -98,14 +99,15 @@ def apply(
     shows; not together with places, by which what is culled may come back.
     faces: by the full name of an object, (F,) bool, those faces of its mesh that stay, behind all its modifiers; of
     other objects all do. levels: by the full name of an object, what takes the place of its mesh, which the viewport
-    shows, too.
+    shows, too, but for fewer levels of subdivision.
     What an earlier call did is taken back first, so calling twice is as calling once. All or nothing: where something
     fails, what was done is taken back. Raises ValueError where the lengths differ.
     """
     if len(culled) != len(keys.records):
         raise ValueError(f"{len(culled)} states for {len(keys.records)} instances")
     restore(in_render)
-    plan = make_plan(culled, keys, scene or bpy.context.scene, lasting, in_render, faces, free and not places, levels)
+    scene = scene or bpy.context.scene
+    plan = make_plan(culled, keys, scene, lasting, in_render, faces, free and not places, levels)
     emitters = len({e.name_full for e, _ in plan.particle_modifiers})
     cut = len(plan.faces), sum(int(np.count_nonzero(gone)) for _, gone in plan.faces)
     result = WritebackResult(
@@ -121,7 +123,7 @@ def apply(
         plan.reasons,
     )
     try:
-        _write(plan, places or {}, in_render)
+        _write(plan, places or {}, in_render, scene)
         return result
     except BaseException:
         restore(in_render)
@@ -140,16 +142,19 @@ def restore(in_render: bool = False) -> bool:
     return marks.take_back(in_render) or found
 
 
-def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:
+def _write(plan: Plan, places: dict[str, F32], in_render: bool, scene: bpy.types.Scene) -> None:
     """Marks first: whatever fails afterwards can be found and taken back."""
     hidden, off = (
         ((ob, marks.HIDDEN) for ob in plan.objects),
         ((ob, marks.particles(ob.modifiers[name])) for ob, name in plan.particle_modifiers),
     )
     emptied = ((ob, word) for ob in plan.sources for word in emptying.words(ob))
-    exchanged = ((ob, marks.SIMPLIFIED) for ob, _ in plan.levels)
+    simplified = [(ob, level) for ob, level in plan.levels if isinstance(level, Level)]
+    coarser = list(coarser_settings(plan.levels, scene))
+    exchanged = ((ob, marks.SIMPLIFIED) for ob, _ in simplified)
+    lowered = ((ob, marks.coarser(modifier, levels)) for ob, modifier, levels in coarser)
     masked = ((host, marks.MASKED) for host, _ in (*plan.masks, *plan.faces))
-    marks.write([*hidden, *off, *exchanged, *masked, *emptied])
+    marks.write([*hidden, *off, *exchanged, *lowered, *masked, *emptied])
     marks.set_hidden(list(plan.objects), True, in_render)
     for emitter, modifier in plan.particle_modifiers:
         emitter.modifiers[modifier].show_render = False
@@ -158,4 +163,6 @@ def _write(plan: Plan, places: dict[str, F32], in_render: bool) -> None:
     for ob, gone in plan.faces:
         face_mask.add(ob, gone)
     emptying.empty(plan.sources)
-    simplify(plan.levels)
+    for _, modifier, count in coarser:
+        modifier.render_levels = count
+    simplify(simplified)

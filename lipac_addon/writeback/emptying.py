@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator
 
 import bpy
 
+from ..coarsening import is_animated
 from . import marks
-from .references import is_animated
 
 NAME = "LiPaC stand-in"
 _STAND_IN = "stand-in"  # the mark of these

@@ -1,4 +1,5 @@
-"""Simplified meshes: objects get other data, made of corners of what they had, with all that these bear.
+"""Simplified meshes: objects get other data, made of corners of what they had, with all that these bear; and fewer
+render levels of subdivision.
 
 A level is a copy of the mesh with fewer faces: materials and properties stay, attributes of points, corners and faces
 are those of the whole mesh, vertex groups too where an armature goes by them. Normals are kept as custom ones. What the
@@ -7,14 +8,15 @@ object had is kept by a pointer of it and put back as where objects are emptied 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.files.level import Level
+from ...core.files.level import AnyLevel, Level, Steps
+from ..coarsening import Setting, setting_of
 from . import marks
 from .emptying import LEVEL, exchange
 
@@ -42,19 +44,35 @@ _VALUES: dict[str, tuple[str, int, type]] = {
 _OWN = {"position", "custom_normal"}
 
 
-def levels_of(extraction: Extraction, result: CullingResult) -> dict[str, Level]:
+def levels_of(extraction: Extraction, result: CullingResult) -> dict[str, AnyLevel]:
     """What takes the place of meshes, by full name of the objects that show them, by a result for the frame that was
     extracted. Objects with the same mesh have the same `Level`."""
-    from ..extract.geometry.meshes import corners_of, faces_of  # which loads kernels: not where an add-on registers
+    # these load kernels: not where an add-on registers
+    from ...core.culling.levels.stand_ins import Coarser
+    from ..extract.geometry.meshes import corners_of, faces_of
 
-    out: dict[str, Level] = {}
+    out: dict[str, AnyLevel] = {}
     mesh, ob = extraction.scene.instances.mesh, extraction.keys.records["object"]
     for number, stand_in in result.stand_ins.items():
-        whole = extraction.scene.meshes.sources[number].geometry.mesh  # type: ignore[attr-defined]
-        level = Level(corners_of(whole).reshape(-1)[stand_in.corners], faces_of(whole)[stand_in.triangles])
+        level: AnyLevel
+        if isinstance(stand_in, Coarser):
+            level = Steps(stand_in.steps)
+        else:
+            whole = extraction.scene.meshes.sources[number].geometry.mesh  # type: ignore[attr-defined]
+            level = Level(corners_of(whole).reshape(-1)[stand_in.corners], faces_of(whole)[stand_in.triangles])
         for name in np.unique(ob[result.active & (mesh == number)]).tolist():
             out[extraction.keys.names[name]] = level
     return out
+
+
+def coarser_settings(
+    levels: Iterable[tuple[bpy.types.Object, AnyLevel]], scene: bpy.types.Scene
+) -> Iterator[tuple[bpy.types.Object, bpy.types.Modifier, int]]:
+    """Objects that are subdivided less in renders of a scene, the modifiers, and the levels that they are to have."""
+    for ob, level in levels:
+        setting = setting_of(ob, scene)
+        if isinstance(setting, Setting) and isinstance(level, Steps):
+            yield ob, setting.modifier, setting.values[level.steps - 1]
 
 
 def simplify(levels: Iterable[tuple[bpy.types.Object, Level]]) -> None:

@@ -7,17 +7,20 @@ marks of these are on an object of our own, which points to them.
 A mark is a list of words: `HIDDEN` for the object's own switch, `PARTICLES` and a number for the render switch of the
 modifier with that persistent number, `MASKED` for a mask modifier, `EMPTIED` for a source that shows nothing
 (`emptying`), `MODIFIER` and a number for its modifiers, `SIMPLIFIED` for one whose mesh is exchanged (`levels`). All
-switches were on before, else they are not touched, so the old value needs no storing. A word that fits nothing does
-nothing.
+switches were on before, else they are not touched, so the old value needs no storing. Render levels of a modifier are
+marked by `COARSER`, its number, what they were, and what they are. A word that fits nothing does nothing.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 import bpy
 import numpy as np
+
+from ..coarsening import SUBDIVIDES
 
 KEY = "lipac_writeback"
 HIDDEN = "hide_render"
@@ -26,6 +29,8 @@ MASKED = "masked"
 EMPTIED = "emptied"
 SIMPLIFIED = "simplified"
 MODIFIER = "modifier:"
+COARSER = "coarser:"
+_NUMBERED = (PARTICLES, MODIFIER, COARSER)
 _WORDS = {HIDDEN, MASKED, EMPTIED, SIMPLIFIED}
 _RECORD = "overrides"  # the mark of the object that bears those of library overrides; also the name of its list
 _NAME = "LiPaC overrides"
@@ -39,7 +44,7 @@ def all_marks() -> Words:
     for ob in bpy.data.objects:
         value = ob.get(KEY)
         if isinstance(value, str) and (
-            words := [word for word in value.split("\n") if word in _WORDS or word.startswith((PARTICLES, MODIFIER))]
+            words := [word for word in value.split("\n") if word in _WORDS or word.startswith(_NUMBERED)]
         ):
             found[ob] = words
         elif _is_record(ob):
@@ -81,6 +86,19 @@ def particles(modifier: bpy.types.Modifier) -> str:
     return f"{PARTICLES}{modifier.persistent_uid}"
 
 
+def coarser(modifier: bpy.types.Modifier, levels: int) -> str:
+    """The word for a modifier whose render levels are about to be so many."""
+    return f"{COARSER}{modifier.persistent_uid}:{modifier.render_levels}:{levels}"
+
+
+def _refine(modifier: bpy.types.Modifier, words: Iterable[str]) -> None:
+    """Put back the render levels of a modifier that a word speaks of."""
+    for word in words:
+        found = re.fullmatch(rf"{COARSER}{modifier.persistent_uid}:(\d{{1,3}}):(\d{{1,3}})", word)
+        if found and modifier.render_levels == int(found[2]):
+            modifier.render_levels = int(found[1])
+
+
 def take_back(in_render: bool = False) -> bool:
     """Undo every mark in the file and remove it; True where there was one. Values that are no longer as they were set
     stay. in_render: as of `set_hidden`."""
@@ -92,6 +110,8 @@ def take_back(in_render: bool = False) -> bool:
                 own |= {particles(modifier), PARTICLES + modifier.name}  # earlier versions went by names
             if own.intersection(words):
                 modifier.show_render = True
+            if modifier.type in SUBDIVIDES:
+                _refine(modifier, words)
     set_hidden([ob for ob, words in found.items() if HIDDEN in words], False, in_render)
     for ob in found:
         if KEY in ob:

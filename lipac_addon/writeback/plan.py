@@ -12,15 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import Records
-from ...core.files.level import Level
+from ...core.files.level import AnyLevel, Level
+from ..coarsening import Setting, is_animated, setting_of
 from ..keys import Keys, Kind, full_name
 from .emptying import can_be_emptied
-from .references import References, instances_others, is_animated, scenes_in_picture, simulates, takes_modifiers
+from .references import References, instances_others, scenes_in_picture, simulates, takes_modifiers
 from .sources import unread
 
 Mask = NDArray[np.bool_]
 EMPTY: Mapping[str, Mask] = MappingProxyType({})
-NO_LEVELS: Mapping[str, Level] = MappingProxyType({})
+NO_LEVELS: Mapping[str, AnyLevel] = MappingProxyType({})
 
 # Why a culled instance stays; the words of the report and of docs/write-back.md
 MISSING = "its object is gone"
@@ -67,7 +68,7 @@ class Plan:
     particle_modifiers: tuple[tuple[bpy.types.Object, str], ...]
     sources: tuple[bpy.types.Object, ...]
     faces: tuple[tuple[bpy.types.Object, Mask], ...]
-    levels: tuple[tuple[bpy.types.Object, Level], ...]
+    levels: tuple[tuple[bpy.types.Object, AnyLevel], ...]
     removed: Mask
     kept: dict[str, int]
     whole: dict[str, int]
@@ -82,7 +83,7 @@ def make_plan(
     in_render: bool = False,
     faces: Mapping[str, Mask] = EMPTY,
     free: bool = False,
-    levels: Mapping[str, Level] = NO_LEVELS,
+    levels: Mapping[str, AnyLevel] = NO_LEVELS,
 ) -> Plan:
     """The means for culled (N,) bool instances of `keys` in the open file; scene, lasting, in_render, faces, free,
     levels: as of `apply`."""
@@ -163,6 +164,7 @@ class Obstacles:
     def __init__(self, scene: bpy.types.Scene, lasting: bool, in_render: bool) -> None:
         # Blender's own search takes as long as there are objects
         self.found = {full_name(ob): ob for ob in bpy.data.objects}
+        self.scene = scene
         others = scenes_in_picture(scene)
         self.references = References(others)
         # these only take an assignment, which would crash such a render
@@ -222,7 +224,7 @@ class Planner(Obstacles):
         self.object_reason: dict[int, str] = {}  # name index: why the object cannot be hidden
         self.host_reason: dict[int, str] = {}  # name index: why the host cannot be masked or switched off
 
-    def plan(self, faces: Mapping[str, Mask], free: bool, levels: Mapping[str, Level] = NO_LEVELS) -> Plan:
+    def plan(self, faces: Mapping[str, Mask], free: bool, levels: Mapping[str, AnyLevel] = NO_LEVELS) -> Plan:
         hidden = self.hidden_objects()
         masks = tuple(self.masks(hidden))
         particles = tuple(self.particle_modifiers(hidden))
@@ -323,17 +325,17 @@ class Planner(Obstacles):
         return SHAPES if self.references.shapes_others(ob) else None
 
     def levels(
-        self, levels: Mapping[str, Level], hidden: set[bpy.types.Object], whole: Counter[str]
-    ) -> Iterator[tuple[bpy.types.Object, Level]]:
+        self, levels: Mapping[str, AnyLevel], hidden: set[bpy.types.Object], whole: Counter[str]
+    ) -> Iterator[tuple[bpy.types.Object, AnyLevel]]:
         """Objects whose mesh is exchanged, and for what; of those that share one all or none; why others keep theirs
         goes into whole."""
-        shared: dict[bpy.types.ID | None, list[tuple[bpy.types.Object | None, Level, str | None]]] = {}
+        shared: dict[bpy.types.ID | None, list[tuple[bpy.types.Object | None, AnyLevel, str | None]]] = {}
         for name, level in levels.items():
             ob = self.found.get(name)
             if ob is None or ob not in hidden:
                 reason = self.shape_obstacle(ob)
                 if ob is not None and reason is None:
-                    reason = self.any_change(ob) if can_be_emptied(ob) else LINKED
+                    reason = self.any_change(ob) if self._takes(ob, level) else LINKED
                 alone = ob is None or len(ob.modifiers) > 0
                 shared.setdefault(ob if ob is None or alone else ob.data, []).append((ob, level, reason))
         for members in shared.values():
@@ -342,6 +344,12 @@ class Planner(Obstacles):
                 whole[reasons[0] or MISSING] += len(members)
             else:
                 yield from ((ob, level) for ob, level, _ in members if ob is not None)
+
+    def _takes(self, ob: bpy.types.Object, level: AnyLevel) -> bool:
+        if isinstance(level, Level):
+            return can_be_emptied(ob)
+        setting = setting_of(ob, self.scene)
+        return isinstance(setting, Setting) and level.steps <= len(setting.values)
 
     def sources(self) -> list[bpy.types.Object]:
         """Objects that something instances, and that no instance shows which stays: what they look like is of no use to

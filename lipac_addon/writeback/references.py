@@ -18,7 +18,7 @@ _HARMLESS = (
     bpy.types.Scene, bpy.types.Collection, bpy.types.Camera, bpy.types.Material, bpy.types.World, bpy.types.Light,
     bpy.types.Action
 )
-_SWITCHES = {"hide_render", "show_render"}
+_SWITCHES = {"hide_render", "show_render", "render_levels"}
 
 
 class References:
@@ -202,22 +202,6 @@ def scenes_in_picture(scene: bpy.types.Scene) -> set[bpy.types.Scene]:
     if scene.render.use_sequencer and scene.sequence_editor is not None:
         found.update(strip.scene for strip in scene.sequence_editor.strips_all if strip.type == "SCENE" and strip.scene)
     return found - {scene}
-
-
-def is_animated(ob: bpy.types.Object, path: str) -> bool:
-    """Whether a driver, an action or an NLA strip of the object controls the property `path`."""
-    data = ob.animation_data
-    if data is None:
-        return False
-    actions = [data.action, *(strip.action for track in data.nla_tracks for strip in track.strips)]
-    return any(d.data_path == path for d in data.drivers) or any(
-        _moves(action, path) for action in actions if action is not None
-    )
-
-
-def _moves(action: bpy.types.Action, path: str) -> bool:
-    curves = (c for layer in action.layers for strip in layer.strips for bag in strip.channelbags for c in bag.fcurves)
-    return any(c.data_path == path for c in curves)
 
 
 def _has_nodes(ob: bpy.types.Object) -> bool:

@@ -251,15 +251,13 @@ def check_levels(args: argparse.Namespace) -> None:
     if not args.levels:
         return
     engine = getattr(args, "engine", "")
-    if args.cull != LIGHT_PATHS or args.min_share is not None or args.memory or args.blas_budget or args.warm:
+    if args.cull != LIGHT_PATHS or args.min_share is not None or args.blas_budget or args.warm:
         raise InputError(
-            "--levels keeps to --max-error, frame by frame: it goes with --cull light-paths, without --min-share, "
-            "--memory, --blas-budget and --warm"
+            "--levels keeps to --max-error: it goes with --cull light-paths, without --min-share, --blas-budget and "
+            "--warm"
         )
     if (engine and engine not in BLENDER_ENGINES) or (not engine and args.verify):
         raise InputError("--levels is of Blender's engines: --engine cycles or eevee, and of them --verify")
-    if args.bake == "shot":
-        raise InputError("--levels are of frames that decide by themselves: leave --bake shot out")
     if find_spec("opengl_decimate") is None:
         raise InputError("--levels needs the package opengl_decimate, which is missing: pip install opengl_decimate")
 

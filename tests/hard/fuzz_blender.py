@@ -9,12 +9,13 @@ import bpy
 import numpy as np
 
 from lipac.core.errors import InputError
-from lipac.core.files.level import Level
+from lipac.core.files.level import AnyLevel, Level, Steps
 from lipac.core.scene.model import Scene
 from lipac.lipac_addon import writeback
 from lipac.lipac_addon.console import muted
 from lipac.lipac_addon.extract import Extraction, extract_frame
 from lipac.lipac_addon.extract.geometry.meshes import corners_of, faces_of
+from lipac.lipac_addon.keys import Kind
 
 from . import fuzz_core
 from .choices import Seeded
@@ -248,18 +249,22 @@ def check(choose: Seeded, seed: int = 0) -> None:
     fuzz_core.check(scene, seed)
     with muted():
         culled = choose.numbers().random(len(scene.instances)) < 0.5
-        writeback.apply(culled, extraction.keys, levels=levels(extraction))
+        writeback.apply(culled, extraction.keys, levels=levels(extraction), faces=faces(extraction))
         writeback.restore()
         after = snapshot()
     changed = [name for name in before.keys() | after.keys() if before.get(name) != after.get(name)]
     assert not changed, f"not as before: {changed[:3]}"
 
 
-def levels(extraction: Extraction) -> dict[str, Level]:
-    """Some triangles of meshes that may be exchanged, drawn by their number, for every other of them."""
-    scene, out = extraction.scene, {}
+def levels(extraction: Extraction) -> dict[str, AnyLevel]:
+    """Some triangles of meshes that may be exchanged, drawn by their number, for every other of them; and fewer levels
+    of subdivision."""
+    scene, out = extraction.scene, dict[str, AnyLevel]()
     rng = np.random.default_rng(len(scene.instances))
-    assert scene.simplifiable is not None
+    assert scene.simplifiable is not None and scene.coarser is not None
+    for number in np.flatnonzero(scene.coarser.steps).tolist():
+        if steps := int(rng.integers(0, scene.coarser.steps[number] + 1)):
+            out[scene.meshes.sources[number].owner] = Steps(steps)  # type: ignore[attr-defined]
     for number in np.flatnonzero(scene.simplifiable & (rng.random(len(scene.meshes)) < 0.5)).tolist():
         mesh = scene.meshes.sources[number].geometry.mesh  # type: ignore[attr-defined]
         corners = corners_of(mesh)
@@ -267,6 +272,17 @@ def levels(extraction: Extraction) -> dict[str, Level]:
         level = Level(corners[chosen], faces_of(mesh)[chosen])
         shown = extraction.keys.records["object"][scene.instances.mesh == number]
         out.update({extraction.keys.names[n]: level for n in np.unique(shown[shown >= 0]).tolist() if chosen.any()})
+    return out
+
+
+def faces(extraction: Extraction) -> dict[str, np.ndarray]:
+    """Some faces of the meshes of objects, for one of three, drawn by their number."""
+    scene, records, out = extraction.scene, extraction.keys.records, {}
+    rng = np.random.default_rng(len(scene.instances))
+    for row in np.flatnonzero(records["kind"] == Kind.OBJECT).tolist():
+        mesh = scene.meshes.sources[scene.instances.mesh[row]].geometry.mesh  # type: ignore[attr-defined]
+        if mesh is not None and len(mesh.polygons) and not rng.integers(0, 3):
+            out[extraction.keys.names[records["object"][row]]] = rng.random(len(mesh.polygons)) < 0.5
     return out
 
 

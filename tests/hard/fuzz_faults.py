@@ -90,17 +90,18 @@ def interrupted(choose: Seeded, what: str) -> str:
             extraction = extract_frame(bpy.context.scene)
         except InputError:
             return "nothing to cull"
-        keys, simple = extraction.keys, fuzz_blender.levels(extraction)
+        keys = extraction.keys
+        parts: dict[str, Any] = {"levels": fuzz_blender.levels(extraction), "faces": fuzz_blender.faces(extraction)}
         one, other = (choose.numbers().random(len(keys.records)) < share for share in (0.5, 0.8))
         culled_before = what == "restore" or choose.integer(0, 1) == 1
         do: Callable[[], object] = (
-            writeback.restore if what == "restore" else lambda: writeback.apply(other, keys, free=True, levels=simple)
+            writeback.restore if what == "restore" else lambda: writeback.apply(other, keys, free=True, **parts)
         )
 
         def begin() -> None:
             writeback.restore()
             if culled_before:
-                writeback.apply(one, keys, free=True, levels=simple)
+                writeback.apply(one, keys, free=True, **parts)
 
         begin()
         with raising(0, KeyboardInterrupt) as lines:

@@ -55,6 +55,28 @@ class StandIn:
         )
 
 
+@dataclass(frozen=True)
+class Coarser:
+    """A mesh as its program makes it, so many steps coarser; triangles: that it has then."""
+
+    steps: int
+    triangles: int
+
+    def __len__(self) -> int:
+        return self.triangles
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """What may take the place of a mesh, and the mesh that it is then."""
+
+    what: StandIn | Coarser
+    mesh: Mesh
+
+    def __len__(self) -> int:
+        return len(self.what)
+
+
 def stand_ins(mesh: Mesh, errors: Sequence[float]) -> list[StandIn]:
     """A stand-in of a mesh for each of these errors, lengths in its space: by how much it deviates at most, as the
     quadrics estimate it. Edges of open surfaces, of UV islands and of normals stay edges, borders between materials

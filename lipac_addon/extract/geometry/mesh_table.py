@@ -120,13 +120,11 @@ class MeshTable:
 
     def simplifiable(self) -> NDArray[np.bool_]:
         """(M,) bool, as `core.scene.model.Scene.simplifiable`."""
-        return np.array(
-            [
-                s is not None and bool(s.simplifiable) and not s.broken and s.relief is None and s.fibres is None
-                for s in self.sources
-            ],
-            bool,
-        )
+        return np.array([s is not None and bool(s.simplifiable) and s.plain for s in self.sources], bool)
+
+    def steps(self) -> NDArray[np.int64]:
+        """(M,) int64, as `core.scene.mesh.CoarserMeshes.steps`."""
+        return np.array([0 if s is None or not s.plain else s.steps for s in self.sources], np.int64)
 
     def finish(self, textured: set[int], uv_maps: tuple[str, ...]) -> tuple[I32, I32]:
         """End a frame. textured: meshes with a material that needs UVs; uv_maps: `core.scene.model.Scene.uv_maps`.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....core.arrays import F32, F64, U32
-from ....core.scene.mesh import Mesh, MeshSequence
+from ....core.scene.mesh import Mesh, MeshSequence, corners_of_faces, vertex_normals
 from ....core.scene.placing import LARGEST
 from ...attributes import NAME, places
 from ..materials.displacement import Relief, shells
@@ -37,7 +37,8 @@ class MeshSource:
     are in Blender's own coordinates. divisible: whether faces of it may be culled by themselves, so that their numbers
     are read.
     relief: how its materials displace it, in metres of its own space; None where none does. simplifiable: whether all
-    objects that show it let it be exchanged for a simplified one; None before one was asked.
+    objects that show it let it be exchanged for a simplified one; None before one was asked. steps: by how many it can
+    be coarser (`lipac_addon.coarsening`), by a setting of the object owner; fixed: why that must stay.
     fibres: what is rendered beside its faces.
     loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the
     first who asks.
@@ -55,7 +56,15 @@ class MeshSource:
     relief: Relief | None = None
     divisible: bool = False
     simplifiable: bool | None = None
+    steps: int = 0
+    owner: str = ""
+    fixed: str = ""
     fibres: Fibres | None = None
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is what its faces are, and nothing else."""
+        return not self.broken and self.relief is None and self.fibres is None
 
     def box(self) -> F32:
         """(2, 3) box of what `load` gives, in Blender's own coordinates."""
@@ -87,6 +96,11 @@ class Loaded:
             _digest(mesh.triangles, mesh.slots),
             _digest(mesh.positions, mesh.normals, mesh.uvs),
         )
+
+    def again(self, mesh: Mesh) -> Loaded:
+        """The record of the same mesh, read once more."""
+        held = (ref for ref in self.triangles if ref() is not None)
+        return replace(self, triangles=(*held, weakref.ref(mesh.triangles)))
 
     @property
     def held(self) -> bool:
@@ -228,19 +242,47 @@ def _of_corners(mesh: Any, domain: str) -> NDArray[np.int32] | None:
     if domain == "CORNER":
         return np.arange(count, dtype=np.int32)
     if domain == "POINT":
-        return read(mesh.attributes[".corner_vert"].data, "value", count, dtype=np.int32)
+        return _vertices(mesh)
     if domain == "FACE":
-        sizes = read(mesh.polygons, "loop_total", len(mesh.polygons), dtype=np.int32)
+        sizes = _sizes(mesh)
         return np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
     return None
+
+
+def _sizes(mesh: Any) -> NDArray[np.int32]:
+    """(F,) corners of each face."""
+    return read(mesh.polygons, "loop_total", len(mesh.polygons), dtype=np.int32)
+
+
+def _small(mesh: Any) -> NDArray[np.int32] | None:
+    """(F,) corners of each face, where none has more than four; else None."""
+    sizes = _sizes(mesh)
+    return sizes if int(sizes.max(initial=3)) <= 4 else None
+
+
+def _vertices(mesh: Any) -> NDArray[np.int32]:
+    """(C,) vertex of each corner."""
+    return read(mesh.attributes[".corner_vert"].data, "value", len(mesh.loops), dtype=np.int32)
+
+
+def _normals(mesh: Any) -> F32:
+    """(V, 3) normals of vertices of a mesh that has these."""
+    sizes = _small(mesh)
+    if sizes is None:
+        return read(mesh.vertex_normals, "vector", len(mesh.vertices), 3)
+    return np.asarray(vertex_normals(_positions(mesh), _vertices(mesh), sizes))
 
 
 def corners_of(mesh: Any) -> NDArray[np.int32]:
     """(T, 3) corners of the triangles of a mesh.
 
-    Blender gives them out one by one, which takes most of the time that reading a mesh takes. They lie in one array,
-    whose address is that of the first; where it turns out not to be so, they are read one by one.
+    Blender keeps what it was once asked for, 16 bytes for each of them, as long as the file is open. So it is only
+    asked where faces have more than four corners. It gives them out one by one, which takes most of the time that
+    reading a mesh takes. They lie in one array, whose address is that of the first; where it turns out not to be so,
+    they are read one by one.
     """
+    if (sizes := _small(mesh)) is not None:
+        return np.asarray(corners_of_faces(_positions(mesh), _vertices(mesh), sizes))
     triangles, count = mesh.loop_triangles, len(mesh.loop_triangles)
     if not count:
         return np.zeros((0, 3), np.int32)
@@ -254,15 +296,16 @@ def corners_of(mesh: Any) -> NDArray[np.int32]:
 
 def faces_of(mesh: Any) -> NDArray[np.int32]:
     """(T,) face that each triangle of a mesh is a part of."""
+    if (sizes := _small(mesh)) is not None:
+        return np.repeat(np.arange(len(sizes), dtype=np.int32), sizes - 2)
     return read(mesh.loop_triangle_polygons, "value", len(mesh.loop_triangles), dtype=np.int32)
 
 
 def _slots(mesh: Any) -> NDArray[np.uint16]:
     """(T,) material slot of each triangle."""
-    index, count = mesh.attributes.get("material_index"), len(mesh.loop_triangles)
+    index, faces = mesh.attributes.get("material_index"), faces_of(mesh)
     if index is None or index.domain != "FACE":
-        return np.zeros(count, np.uint16)
-    faces = faces_of(mesh)
+        return np.zeros(len(faces), np.uint16)
     return read(index.data, "value", len(mesh.polygons), dtype=np.int32)[faces].astype(np.uint16)
 
 
@@ -281,7 +324,7 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
 def _loaded(source: MeshSource, mesh: Any, uv_maps: Sequence[str]) -> Mesh:
     positions = _positions(mesh)
     corners = corners_of(mesh)
-    vertices = read(mesh.attributes[".corner_vert"].data, "value", len(mesh.loops), dtype=np.int32)[corners]
+    vertices = _vertices(mesh)[corners]
     kept: slice | NDArray[np.bool_] = slice(None)
     if source.broken:
         usable = _usable(positions)
@@ -296,7 +339,7 @@ def _loaded(source: MeshSource, mesh: Any, uv_maps: Sequence[str]) -> Mesh:
     if loops is not None and mesh.normals_domain == "CORNER":
         normals = read(mesh.corner_normals, "vector", len(mesh.loops), 3)[loops]
     elif mesh.normals_domain == "POINT":
-        normals = read(mesh.vertex_normals, "vector", len(positions), 3)
+        normals = _normals(mesh)
     if loops is not None and source.needs_uv:
         uvs = np.stack(
             [
@@ -314,7 +357,7 @@ def _loaded(source: MeshSource, mesh: Any, uv_maps: Sequence[str]) -> Mesh:
     return (
         out
         if source.relief is None
-        else shells(out, read(mesh.vertex_normals, "vector", len(positions), 3), source.relief)
+        else shells(out, _normals(mesh), source.relief)
     )
 
 
@@ -335,5 +378,5 @@ class LazyMeshes(MeshSequence):
         if source is None:
             return EMPTY
         mesh, source.ready = source.ready or load(source, self.uv_maps), None
-        source.loaded = Loaded.of(mesh, source.loaded)
+        source.loaded = Loaded.of(mesh, source.loaded) if source.loaded is None else source.loaded.again(mesh)
         return mesh

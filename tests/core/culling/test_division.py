@@ -3,12 +3,15 @@ nor read."""
 
 from __future__ import annotations
 
+import dataclasses
+import weakref
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from lipac.core.accel.blas import BlasCache
+from lipac.core.culling import division
 from lipac.core.culling.analysis import analyze, decide
 from lipac.core.culling.division import PART, Division, Parts
 from lipac.core.culling.loop import Loop
@@ -16,7 +19,7 @@ from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation.judge import Judge
 from lipac.core.scene import model as s
-from lipac.core.scene.mesh import DIVIDED_FROM, Mesh
+from lipac.core.scene.mesh import DIVIDED_FROM, Mesh, MeshSequence
 
 from .. import scenes
 from .test_budget_cases import CAMERA, facing, material, sun
@@ -59,7 +62,7 @@ def terrain(
 
 def test_each_triangle_is_in_one_part_and_in_its_box() -> None:
     mesh = grid(40)
-    parts = Parts.of(mesh)
+    parts = Parts.of(lambda: mesh)
     count = -(-len(mesh.triangles) // PART)
     assert len(parts.boxes) == count
     rows = []
@@ -83,7 +86,7 @@ def test_all_that_belongs_to_triangles_goes_with_them() -> None:
     n = len(mesh.triangles)
     normals, uvs = rng.random((n, 3, 3), np.float32), rng.random((2, n, 3, 2), np.float32)
     mesh = Mesh(mesh.positions, mesh.triangles, normals, uvs, rng.integers(0, 9, n).astype(np.uint16))
-    parts = Parts.of(mesh)
+    parts = Parts.of(lambda: mesh)
     part, chosen = parts.part(5), parts.order[5 * PART : 6 * PART]
     assert part.normals is not None and part.uvs is not None and part.slots is not None
     assert np.array_equal(part.positions[part.triangles], mesh.positions[mesh.triangles[chosen]])
@@ -91,7 +94,7 @@ def test_all_that_belongs_to_triangles_goes_with_them() -> None:
     assert np.array_equal(part.uvs, mesh.uvs[:, chosen])  # type: ignore[index]
     assert np.array_equal(part.slots, mesh.slots[chosen])  # type: ignore[index]
     by_vertex = Mesh(mesh.positions, mesh.triangles, rng.random(mesh.positions.shape, np.float32))
-    part = Parts.of(by_vertex).part(5)
+    part = Parts.of(lambda: by_vertex).part(5)
     assert part.normals is not None and by_vertex.normals is not None
     assert np.array_equal(part.normals[part.triangles], by_vertex.normals[mesh.triangles[chosen]])
 
@@ -159,6 +162,40 @@ def test_what_no_path_asks_for_is_never_read() -> None:
     assert result.active.tolist() == [True, False]
     assert meshes.read == {0}
     assert result.faces == {}
+
+
+class Fresh(MeshSequence):
+    """Meshes that are made anew each time they are read; most: how many were there at a time."""
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        self._meshes = meshes
+        self._made: list[weakref.ref[np.ndarray]] = []
+        self.most = 0
+
+    def __len__(self) -> int:
+        return len(self._meshes)
+
+    def mesh(self, index: int) -> Mesh:
+        made = dataclasses.replace(self._meshes[index], triangles=self._meshes[index].triangles.copy())
+        self._made = [ref for ref in self._made if ref() is not None] + [weakref.ref(made.triangles)]
+        self.most = max(self.most, len(self._made))
+        return made
+
+
+def test_whole_meshes_are_not_held_for_their_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of many, a few at a time; what is read again gives the same."""
+    whole = [grid(70) for _ in range(6)]
+    places = [(k, scenes.placed((8 * k - 20, 6, 0), 4.0), 0) for k in range(6)]
+    limits, flags = s.PathLimits(total=1, diffuse=1), np.full(6, FLAGS, np.uint8)
+    scene = scenes.build(whole, places, None, CAMERA, sun((1, 0, 1)), (0.4, 0.5, 0.7), SIZE, limits, flags)
+    expected = analyze(scene, OPTIONS)
+    assert len(expected.faces) > 3
+    monkeypatch.setattr(division, "HELD", 1)
+    meshes = Fresh(whole)
+    found = analyze(dataclasses.replace(scene, meshes=meshes), OPTIONS)
+    assert meshes.most <= 3
+    assert found.faces.keys() == expected.faces.keys()
+    assert all(np.array_equal(found.faces[row], expected.faces[row]) for row in found.faces)
 
 
 @pytest.mark.parametrize("why", ["not flagged", "small", "emits", "shared", "pinned", "switched off"])

@@ -83,3 +83,26 @@ def test_what_is_pinned_is_needed():
     scene = priced(terrain())
     with pytest.raises(InputError, match=r"takes at least \d+M: 62M for Blender.*, [3-9]\dM for what cannot be culled"):
         analyze(scene, options(70 * MEGABYTE, parts=False), pinned=np.array([True, False]))
+
+
+def test_levels_make_room_for_what_would_have_to_go():
+    """The terrain, which may be simplified, in so little that what stays of it would not fit as it is."""
+    scene = dataclasses.replace(priced(terrain()), simplifiable=np.array([True, False]))
+    costs, error = scene.render_costs, 0.01
+    free = analyze(scene, dataclasses.replace(options(0, error), levels=True))
+    left = len(free.stand_ins[0]) / len(scene.meshes[0].triangles)
+    taken = costs.process + int(left * costs.mesh[0]) + int(free.active[1]) * int(costs.mesh[1])
+    limit = costs.at_most(taken) + MEGABYTE // 10
+    result = analyze(scene, dataclasses.replace(options(limit, error), levels=True))
+    assert len(result.stand_ins[0]) == len(free.stand_ins[0])
+    assert result.stats["certified_mean"] == free.stats["certified_mean"] <= error
+    assert np.array_equal(result.faces[0], free.faces[0]) and total(result, scene) > limit
+
+
+def test_what_levels_do_not_make_fit_goes():
+    """Part by part, as without levels."""
+    scene = dataclasses.replace(priced(terrain()), simplifiable=np.array([True, False]))
+    limit = 63 * MEGABYTE
+    result = analyze(scene, dataclasses.replace(options(limit, 0.003), levels=True))
+    assert result.stats["certified_mean"] > 0.003
+    assert not result.stand_ins and total(result, scene) <= limit

@@ -117,3 +117,16 @@ def test_any_one_thing_may_be_worth_an_analysis(costs: RenderCosts, much: dict[s
 )
 def test_any_heavy_thing_may_be_worth_an_analysis(costs: RenderCosts, heavy: dict[str, Any]) -> None:
     assert not stakes(replace(costs, **heavy)).nothing_to_win
+
+
+def test_levels_take_their_share(costs: RenderCosts) -> None:
+    less = costs.with_levels([(np.array([1], np.int32), 0.25)])
+    assert less.mesh.tolist() == [costs.mesh[0], -(-costs.geometry[1] // 4) - (-costs.bvh[1] // 4), costs.mesh[2]]
+    assert less.fixed == costs.fixed
+
+
+def test_a_level_of_parts_is_there_whatever_is_culled(costs: RenderCosts) -> None:
+    parts = costs.divided(np.array([0, 0, 0]), [(0, np.array([60, 30, 10]))])
+    less = parts.with_levels([(np.array([3, 4], np.int32), 0.5)])
+    assert less.mesh[3:].tolist() == [0, 0, parts.mesh[5]]
+    assert less.fixed == parts.fixed + -(-int(parts.mesh[3] + parts.mesh[4]) // 2)

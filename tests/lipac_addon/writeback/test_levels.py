@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
 
 from lipac.core.culling.levels.stand_ins import stand_ins
-from lipac.core.files.level import Level
+from lipac.core.files.level import AnyLevel, Level, Steps
 from lipac.lipac_addon import writeback
 from lipac.lipac_addon.extract.geometry.meshes import corners_of, faces_of
 from lipac.lipac_addon.extract.session import extract_frame
 from lipac.lipac_addon.keys import full_name
-from lipac.lipac_addon.writeback.plan import LINKED, SHAPES
+from lipac.lipac_addon.writeback import marks
+from lipac.lipac_addon.writeback.plan import DRIVES, LINKED, SHAPES
 
-from .conftest import linked
+from .conftest import link, linked
 
 ERROR = 0.02
 
@@ -58,7 +60,7 @@ def level_of(ob: bpy.types.Object) -> Level:
     return Level(corners_of(mesh).reshape(-1)[found.corners], faces_of(mesh)[found.triangles])
 
 
-def apply(levels: dict[str, Level], **more: object) -> writeback.WritebackResult:
+def apply(levels: Mapping[str, AnyLevel], **more: object) -> writeback.WritebackResult:
     """Exchange meshes, cull nothing."""
     keys = extract_frame(bpy.context.scene).keys
     return writeback.apply(np.zeros(len(keys.records), bool), keys, levels=levels, **more)  # type: ignore[arg-type]
@@ -207,3 +209,81 @@ def test_what_looks_at_its_mesh_stays_whole(ball: bpy.types.Object) -> None:
     other.modifiers.new("Solidify", "SOLIDIFY")
     bpy.context.scene.collection.objects.link(other)
     assert marked(ball) and not marked(other)
+
+
+@pytest.fixture
+def fine(new_file: bpy.types.Scene) -> bpy.types.Object:
+    """A cube that renders subdivide four times, behind another modifier, and before a third."""
+    ob = link(bpy.data.objects.new("Fine", bpy.data.meshes.new("Fine")))
+    bm = bmesh.new()
+    bmesh.ops.create_cube(bm)
+    bm.to_mesh(ob.data)
+    bm.free()
+    ob.modifiers.new("Bevel", "BEVEL")
+    modifier = ob.modifiers.new("Subdivision", "SUBSURF")
+    modifier.levels, modifier.render_levels = 1, 4
+    ob.modifiers.new("Bend", "SIMPLE_DEFORM")
+    bpy.context.view_layer.update()
+    return ob
+
+
+def test_fewer_levels_are_put_back(fine: bpy.types.Object, snapshot: Callable[[], dict]) -> None:
+    before, modifier = snapshot(), fine.modifiers["Subdivision"]
+    assert apply({"Fine": Steps(2)}).simplified == 1
+    assert (modifier.levels, modifier.render_levels) == (1, 2)
+    assert apply({"Fine": Steps(3)}).simplified == 1  # of what it was
+    assert modifier.render_levels == 1
+    writeback.restore()
+    assert snapshot() == before and modifier.render_levels == 4
+
+
+def test_a_saved_file_has_fewer_levels_and_gives_them_back(fine: bpy.types.Object, tmp_path: Path) -> None:
+    apply({"Fine": Steps(1)}, lasting=True)
+    fine.name, fine.modifiers["Subdivision"].name = "Renamed", "Smooth"
+    path = f"{tmp_path}/baked.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    ob = bpy.data.objects["Renamed"]
+    assert ob.modifiers["Smooth"].render_levels == 3
+    assert writeback.restore()
+    assert ob.modifiers["Smooth"].render_levels == 4 and not ob.keys()
+
+
+def test_levels_that_the_user_set_meanwhile_stay(fine: bpy.types.Object) -> None:
+    apply({"Fine": Steps(2)})
+    fine.modifiers["Subdivision"].render_levels = 5
+    writeback.restore()
+    assert fine.modifiers["Subdivision"].render_levels == 5 and not fine.keys()
+
+
+@pytest.mark.parametrize("word", ["", "x", "1", "1:2", "1:4:9999", "-1:4:2", "1:4:2:1", "99:1:4"])
+def test_marks_that_fit_nothing_do_nothing(fine: bpy.types.Object, word: str) -> None:
+    number = fine.modifiers["Subdivision"].persistent_uid
+    fine[marks.KEY] = marks.COARSER + word.replace("1:", f"{number}:", 1)
+    writeback.restore()
+    assert fine.modifiers["Subdivision"].render_levels == 4
+
+
+def test_levels_that_something_else_looks_at_stay(fine: bpy.types.Object) -> None:
+    modifier = fine.modifiers["Subdivision"]
+    user = link(bpy.data.objects.new("user", bpy.data.meshes.new("user")))
+    user.modifiers.new("Shrinkwrap", "SHRINKWRAP").target = fine
+    assert apply({"Fine": Steps(1)}).whole == {SHAPES: 1}
+    user.modifiers.clear()
+    modifier.keyframe_insert("render_levels", frame=1)
+    assert apply({"Fine": Steps(1)}).whole == {LINKED: 1}
+    fine.animation_data_clear()
+    curve = user.driver_add("location", 0)
+    variable = curve.driver.variables.new()
+    variable.targets[0].id = fine
+    variable.targets[0].data_path = 'modifiers["Subdivision"].render_levels'
+    assert apply({"Fine": Steps(1)}).whole == {DRIVES: 1}
+    user.driver_remove("location", 0)
+    assert apply({"Fine": Steps(1)}).simplified == 1
+    assert modifier.render_levels == 3
+
+
+def test_linked_objects_keep_their_levels(fine: bpy.types.Object, tmp_path: Path) -> None:
+    other, _ = linked(tmp_path, "Fine", bpy.context.scene.camera.name)
+    assert apply({full_name(other): Steps(1)}).whole == {LINKED: 1}
+    assert other.modifiers["Subdivision"].render_levels == 4

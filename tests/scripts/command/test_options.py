@@ -61,10 +61,8 @@ def test_each_engine_is_treated_as_its_row_says(engine: Engine, tmp_path: Path) 
     [
         ("--min-share", "0.001"),
         ("--cull", "frustum"),
-        ("--memory", "4G"),
         ("--blas-budget", "1G"),
         ("--warm",),
-        ("--bake", "shot"),
     ],
 )
 def test_levels_are_of_frames_with_a_budget(options: tuple[str, ...], tmp_path: Path) -> None:
