@@ -19,6 +19,7 @@ from ..core.errors import InputError
 ENGINE = "LIPAC_EXTRACT"
 STAND_IN = ".lipac stand-in camera"
 OWN_SLOT = "LiPaC"
+DICED = ((200, 3), (5000, 2), (50_000, 1))  # up to so many faces, levels that stand for Cycles' own subdivision
 T = TypeVar("T")
 
 
@@ -153,6 +154,21 @@ def _some_camera(scene: Any) -> Iterator[None]:
         bpy.data.cameras.remove(data)
 
 
+def _diced(scene: Any) -> list[tuple[Any, int]]:
+    """Modifiers whose meshes Cycles subdivides by itself, as finely as the picture needs, whatever levels they have,
+    and levels by which they come close to that; those that have as many already are left out."""
+    if scene.render.engine == "BLENDER_EEVEE":
+        return []
+    found = []
+    for item in bpy.data.objects:
+        last = item.modifiers[-1] if item.type == "MESH" and len(item.modifiers) else None
+        if last is not None and last.type == "SUBSURF" and getattr(last, "use_adaptive_subdivision", False):
+            levels = next((k for most, k in DICED if len(item.data.polygons) <= most), 0)
+            if last.render_levels < levels:
+                found.append((last, levels))
+    return found
+
+
 class RenderGraph:
     """The dependency graph of final renders of a scene, kept from frame to frame, so that Blender evaluates only what
     changes.
@@ -215,6 +231,8 @@ class RenderGraph:
             for layer in self.scene.view_layers:
                 if layer.use != (layer.name == self.layer):
                     stack.enter_context(changed(layer, use=layer.name == self.layer))
+            for modifier, levels in _diced(self.scene):
+                stack.enter_context(changed(modifier, render_levels=levels))
             self._held = stack.pop_all()
 
     def _render(self, callback: Callable[[Any, bool], T]) -> T:

@@ -14,14 +14,16 @@ from .model import Scene, Shader, Unsure
 
 
 def known_light(scene: Scene) -> Scene | None:
-    """The scene without lamps and emission that are marked as unsure, and with nothing but its own light in place of a
-    material of which it is not known what light it sends on; None where there are none."""
+    """The scene without lamps and emission that are marked as unsure, with colours as dark as they may be, and with
+    nothing but its own light in place of a material of which it is not known what light it sends on; None where there
+    are none."""
     lamps, materials = scene.lights["unsure"] != 0, scene.materials["unsure_emission"] != 0
     veils = scene.materials["unsure"] & (Unsure.CLEAR | Unsure.LIGHT) != 0
     materials |= scene.materials["unsure"] & Unsure.CLEAR != 0  # it may not be there
-    if not (lamps.any() or materials.any() or veils.any()):
+    if not (lamps.any() or materials.any() or veils.any() or (scene.materials["sure"] < 1).any()):
         return None
     dark = scene.materials.copy()
+    dark["base_color"] *= dark["sure"][:, None]
     dark["emission"] = np.where(materials[:, None], 0, dark["emission"])
     dark["shader"] = np.where(veils, Shader.EMISSION, dark["shader"])
     dark["unsure"] = np.where(veils, 0, dark["unsure"])

@@ -148,6 +148,7 @@ MATERIAL = np.dtype(
         ("unsure", "u4"),  # `Unsure`
         # 1: how much it emits is not known; `emission` is the most that it may be
         ("unsure_emission", "u4"),
+        ("sure", "f4"),  # share of `base_color` that is surely there: places may be darker than is thought
         # of MIX and BY_RAY: rows of two materials, never in a cycle; emission there is the brightest of theirs
         ("parts", "i4", (2,)),
     ],
@@ -291,6 +292,11 @@ class PathLimits:
     clamp_indirect: float = 0.0
     filter_glossy: float = 0.0
     shading: Shading = Shading.BLENDER_5_0
+    # Fast GI (Cycles' ambient occlusion in place of bounces): from this bounce on, 0: never, rays reach `fast_reach`
+    # metres, see the world times `fast_factor` where they meet nothing, and end where they meet something
+    fast_gi: int = 0
+    fast_reach: float = 0.0
+    fast_factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -370,7 +376,7 @@ def default_material() -> Records:
     for name in MATERIAL.names or ():
         if name.endswith("_texture"):
             m[name] = NO_TEXTURE
-    m["mis_emission"] = 1
+    m["mis_emission"] = m["sure"] = 1
     return m
 
 

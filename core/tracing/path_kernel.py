@@ -71,6 +71,7 @@ from .path_state import (
     CLEAR,
     COINCIDENT,
     I_DIFFUSE,
+    I_FAST_GI,
     I_GLOSSY,
     I_HITBOX_EVERY,
     I_HITBOX_NEAREST,
@@ -91,6 +92,8 @@ from .path_state import (
     PARTS_AT,
     RAYS,
     STRAIGHT,
+    V_FAST_FACTOR,
+    V_FAST_REACH,
     V_FILTER_GLOSSY,
 )
 from .surface import T_FLAGS, T_TRANSFORM, face, interpolate, mesh_record, offset_origin
@@ -125,6 +128,7 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
     background = True  # PATH_RAY_TRANSPARENT_BACKGROUND: the ray still goes straight from the camera
     straight = False  # it has passed something transparent since the last bounce
     last = False  # a limit is reached: only emission counts, and what lies behind transparency
+    fast = False  # Fast GI: what the ray meets within reach ends it, what it does not meet is the world
     stop = False  # too many transparent surfaces: ends at the next surface
     after_diffuse = False
     through = False  # it has passed straight on through something of which we do not know how much that lets through
@@ -200,10 +204,10 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
                     r, g, b = environment_radiance(
                         s.lights[L_SEEN], np.int64(s.lights[L_WIDTH]), np.int64(s.lights[L_HEIGHT]), dx, dy, dz
                     )
-                f = _ONE
+                f = s.limits[V_FAST_FACTOR] if fast else _ONE
                 if mis and s.lights[L_IMAGE] != np.uint64(0):
                     if strategy == BOTH:
-                        f = power_heuristic(pdf, world_density(s.lights, dx, dy, dz))
+                        f *= power_heuristic(pdf, world_density(s.lights, dx, dy, dz))
                     elif strategy == LIGHT_ONLY:
                         f = _ZERO
                 add_light(s, w, tr * r * f, tg * g * f, tb * b * f, bounce - 1, part)
@@ -319,7 +323,7 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         elif label & TRANSPARENT == 0:
             through = False
         dimension += np.uint64(_DIMENSIONS)
-        far = FAR
+        far = s.limits[V_FAST_REACH] - before - t if fast else FAR
         second = first
         first = False
         if label & TRANSPARENT:
@@ -346,6 +350,10 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             transmission += 1
             last = last or transmission > s.settings[I_TRANSMISSION]
             ray_type = np.int64(_TRANSMISSION_RAY)
+        ambient = s.settings[I_FAST_GI]
+        fast = ambient > 0 and bounce - transmission - (1 if glossy > 0 else 0) >= ambient
+        last = last or fast
+        far = s.limits[V_FAST_REACH] if fast else FAR
         straight = False
         after_diffuse = label & DIFFUSE != 0
         mis = label & SINGULAR == 0

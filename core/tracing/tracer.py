@@ -276,6 +276,7 @@ def _settings(
         state.I_STRATEGY: strategy,
         state.I_CAMERAS: max(len(scene.shutter), 1),
         state.I_UNBUILT: -1,
+        state.I_FAST_GI: limits.fast_gi,
     }.items():
         settings[slot] = value
     values = np.zeros(state.LIMITS, np.float32)
@@ -284,6 +285,7 @@ def _settings(
     values[state.V_FILTER_GLOSSY] = 1 / limits.filter_glossy if limits.filter_glossy > 0 else 0
     values[state.V_EXPOSURE] = scene.film.exposure
     values[state.V_WORLD : state.V_WORLD + 3] = scene.world.color
+    values[state.V_FAST_REACH], values[state.V_FAST_FACTOR] = limits.fast_reach, limits.fast_factor
     return settings, values
 
 

@@ -33,6 +33,8 @@ def extract_limits(scene: Any) -> PathLimits:
     c = getattr(scene, "cycles", None)
     if c is None:
         return PathLimits(shading=Shading.of(bpy.app.version))
+    fast, world = c.use_fast_gi and c.fast_gi_method == "REPLACE", scene.world
+    ambient = None if world is None else world.light_settings
     return PathLimits(
         c.max_bounces,
         c.diffuse_bounces,
@@ -45,6 +47,9 @@ def extract_limits(scene: Any) -> PathLimits:
         c.sample_clamp_indirect,
         c.blur_glossy,
         Shading.of(bpy.app.version),
+        c.ao_bounces_render if fast else 0,
+        ambient.distance if ambient is not None else 10.0,
+        ambient.ao_factor if ambient is not None else 1.0,
     )
 
 

@@ -92,7 +92,7 @@ class GraphReader:
         self._lamps_listed = self.listed is None or any(
             "NodeTree" in type(update.id).__name__ for update in self.listed.values()
         )
-        self.geometry.begin(getattr(self.layer, "material_override", None))
+        self.geometry.begin(getattr(self.layer, "material_override", None), self.layer.use_strand)
         self.unsupported.clear()
         self.order.clear()
         nodes = [self.node(item) for item in top_level(depsgraph, self.layer)]
@@ -196,7 +196,8 @@ class GraphReader:
         else:
             key = f"mesh {full_name(item.data)}" if data and not len(item.modifiers) else f"object {node.full_name}"
             evaluated = item.evaluated_geometry(), item.evaluated_geometry()
-            node.geometry = self.geometry.read(*evaluated, item, key, lines, data, hair(item))
+            strands = hair(item) if self.layer.use_strand else None
+            node.geometry = self.geometry.read(*evaluated, item, key, lines, data, strands)
         if node.geometry.groups:
             # Instances of geometry nodes come before the older ones, which are of objects and always have an id
             objects = all(isinstance(target, Node) for _, target in node.geometry.groups)

@@ -87,7 +87,7 @@ class Frame:
         if shutter.moments:
             lines = (
                 *lines,
-                "motion blur: what moves was looked at where it is when the shutter opens, at the frame, and when it "
+                "motion blur: what moves was looked at where it is when the shutter opens, half-way, and when it "
                 "closes",
             )
         if shutter.rolling:

@@ -13,7 +13,7 @@ from ..depsgraph import RenderGraph, go_to, show_frame
 from .camera import NO_CAMERA
 from .scene import Extraction, Frame, Look, SceneReader
 from .shutter import Shutter, read_shutter
-from .world import ExtractedWorld, baked_world, constant_world, fingerprint
+from .world import ExtractedWorld, baked_world, constant_world, fingerprint, world_of
 
 
 class Extractor:
@@ -109,7 +109,7 @@ class Extractor:
         """What there is to read of a graph: the frame, the world where it needs no render, and what tells that it is
         another."""
         start, world = time.perf_counter(), self._given
-        item = getattr(depsgraph.view_layer_eval, "world_override", None) or depsgraph.scene_eval.world
+        item = world_of(depsgraph.scene_eval, depsgraph.view_layer_eval)
         if world is None:
             world = constant_world(item)
         frame = self._reader.read(depsgraph, goes_on, look)
@@ -124,8 +124,7 @@ class Extractor:
         """The world of the current frame, rendered. Blender then frees the graph."""
         # animated values get to the world that is rendered
         self.scene.frame_set(self.scene.frame_current, subframe=self.scene.frame_subframe)
-        layer = self.scene.view_layers[self._graph.layer]
-        return baked_world(getattr(layer, "world_override", None) or self.scene.world)
+        return baked_world(world_of(self.scene, self.scene.view_layers[self._graph.layer]))
 
 
 def extract_frame(

@@ -28,10 +28,12 @@ class Shutter:
     rolling: bool = False
 
 
-def exposure(scene: Any) -> tuple[float, float] | None:
-    """When the shutter opens and closes, in frames after the frame; None without motion blur."""
+def exposure(scene: Any, layer: Any = None) -> tuple[float, float] | None:
+    """When the shutter opens and closes, in frames after the frame; None without motion blur, which a view layer may
+    switch off."""
     render = scene.render
-    if not render.use_motion_blur or render.motion_blur_shutter <= 0:
+    off = not getattr(layer, "use_motion_blur", True)
+    if off or not render.use_motion_blur or render.motion_blur_shutter <= 0:
         return None
     first = OPENS[render.motion_blur_position] * render.motion_blur_shutter
     return first, first + render.motion_blur_shutter
@@ -45,7 +47,7 @@ def read_shutter(depsgraph: Any, film: Film, at: Callable[[float], None]) -> Shu
     motion steps, and one.
     """
     scene = depsgraph.scene_eval
-    times = exposure(scene)
+    times = exposure(scene, depsgraph.view_layer_eval)
     if times is None or scene.camera is None or scene.camera.type != "CAMERA":
         return Shutter()
     name, settings = scene.camera.name_full, getattr(scene.camera, "cycles", None)
@@ -60,7 +62,7 @@ def read_shutter(depsgraph: Any, film: Film, at: Callable[[float], None]) -> Shu
                 keys.append(extract_camera(item, depsgraph.scene_eval, film))
     finally:
         at(0.0)
-    moments = tuple(time for time in times if time != 0.0) if moved else ()
+    moments = tuple(time for time in (times[0], sum(times) / 2, times[1]) if time != 0.0) if moved else ()
     rolling = getattr(getattr(scene, "cycles", None), "rolling_shutter_type", "NONE") != "NONE"
     cameras = between(keys, CAMERAS)
     return Shutter(cameras, moments, rolling and (moved or len(cameras) > 0))

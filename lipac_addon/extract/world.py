@@ -148,14 +148,22 @@ def _value(value: Any) -> str:
     )
 
 
+def world_of(scene: Any, view_layer: Any) -> Any | None:
+    """The bpy.types.World that a view layer renders: its override, else that of the scene; None (black) where its
+    Environment is off. view_layer: None counts as one with no settings of its own."""
+    if not getattr(view_layer, "use_sky", True):
+        return None
+    return getattr(view_layer, "world_override", None) or scene.world
+
+
 def extract_world(scene: Any, view_layer: Any = None) -> ExtractedWorld:
     """World of a scene at its current frame, as Cycles shows it to camera rays. Renders where it is not constant: not
     to be called inside a render.
 
-    scene: bpy.types.Scene; view_layer: bpy.types.ViewLayer, whose world override counts. Everything made for the bake
-    is removed again.
+    scene: bpy.types.Scene; view_layer: bpy.types.ViewLayer, as of `world_of`. Everything made for the bake is removed
+    again.
     """
-    world = getattr(view_layer, "world_override", None) or scene.world
+    world = world_of(scene, view_layer)
     constant = constant_world(world)
     if constant is not None:
         return constant
@@ -260,7 +268,8 @@ def bake(world: Any, height: int, samples: int, through: bool = False) -> F32:
             "CPU", samples, False, False, 4 * through, 1.0
         )
         c.transmission_bounces = 4 * through  # an edge may be met twice
-        c.pixel_filter_type, c.filter_width, c.sample_clamp_direct, c.seed = "BOX", 1.0 if samples > 1 else 0.01, 0.0, 0
+        c.pixel_filter_type, c.filter_width, c.seed = "BOX", 1.0 if samples > 1 else 0.01, 0
+        c.sample_clamp_direct = c.sample_clamp_indirect = 0.0
         settings = scene.render.image_settings
         settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
         scene.render.use_file_extension = True

@@ -95,11 +95,13 @@ class GeometryReader:
         self.warnings: dict[str, None] = {}
         self.pairs: set[tuple[int, int]] = set()
         self.override: Any = None
+        self.strands = True
         self._keys: dict[int, str] = {}  # of data that objects share, in this frame
 
-    def begin(self, override: Any) -> None:
-        """Begin a frame. override: the material that takes the place of all others, or None."""
-        self.override, self.slots = override, SlotTable()
+    def begin(self, override: Any, strands: bool = True) -> None:
+        """Begin a frame. override: the material that takes the place of all others, or None. strands: whether hair
+        renders."""
+        self.override, self.strands, self.slots = override, strands, SlotTable()
         self.meshes.begin()
         for held in (self.warnings, self._keys, self.pairs):
             held.clear()
@@ -149,7 +151,7 @@ class GeometryReader:
         ):
             part = getattr(geometry, name, None)
             # Cycles renders no other curves than those that an object of them is
-            if part is None or (name == "curves" and (instanced or item.type != "CURVES")):
+            if part is None or (name == "curves" and (instanced or item.type != "CURVES" or not self.strands)):
                 continue
             splats = getattr(part, "type", "") == "GAUSSIAN_SPLAT"
             if as_faces is None or splats:

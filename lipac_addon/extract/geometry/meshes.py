@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ....core.arrays import F32, F64, U32
 from ....core.scene.mesh import Mesh, MeshSequence, corners_of_faces, vertex_normals
 from ....core.scene.placing import LARGEST
-from ...attributes import NAME, places
+from ...attributes import NAME, PLACE, colors_of, places, places_in_pattern
 from ..materials.displacement import Relief, shells
 from .fibres import Fibres
 
@@ -201,6 +201,14 @@ def _faces(geometry: Any, name: str) -> MeshSource | None:
     return MeshSource(geometry, name, bounds.astype(np.float32), min(max(slots, 1), 1 << 16), broken)
 
 
+def _map(mesh: Any, name: str, loops: NDArray[np.int32], vertices: NDArray[np.int32], at: F32 | None) -> F32:
+    """(T, 3, 2) of a UV map, or of what is one by its name. loops, vertices: (T, 3) of triangles; at: (V, 2) where
+    vertices lie in the pattern."""
+    if name == PLACE and at is not None:
+        return at[vertices]
+    return _attribute(mesh, name.removeprefix(NAME), loops) if name.startswith(NAME) else _uv(mesh, name)[loops]
+
+
 def _uv(mesh: Any, name: str) -> F32:
     """(loops, 2) of a UV map; index 0's name "" is the active render map. Zeros where the mesh has none, as in
     Cycles."""
@@ -214,26 +222,13 @@ def _attribute(mesh: Any, name: str, loops: NDArray[np.int32]) -> F32:
     """(T, 3, 2) places of an attribute in the palette, for triangles of three corners each, (T, 3). name "": the active
     colour. Where the mesh has none it is black, as in Cycles."""
     attribute = mesh.attributes.get(name) if name else mesh.color_attributes.active_color
-    found = None if attribute is None else _FIELDS.get(attribute.data_type)
+    values = None if attribute is None else colors_of(attribute)
     corner = None if attribute is None else _of_corners(mesh, attribute.domain)
-    if attribute is None or found is None or corner is None:
+    if values is None or corner is None:
         colors = np.zeros((len(loops), 3), np.float32)
     else:
-        field, width, dtype = found
-        values = read(attribute.data, field, len(attribute.data), width, dtype).reshape(-1, width)
-        values = np.broadcast_to(values[:, : min(width, 3)], (len(values), 3))
-        colors = values[corner[loops]].astype(np.float32).mean(axis=1)
+        colors = values[corner[loops]].mean(axis=1)
     return np.repeat(places(colors)[:, None], 3, axis=1)
-
-
-_FIELDS: dict[str, tuple[str, int, type]] = {  # by type of an attribute: the field of its data, how wide, and of what
-    "FLOAT_COLOR": ("color", 4, np.float32),
-    "BYTE_COLOR": ("color", 4, np.float32),
-    "FLOAT_VECTOR": ("vector", 3, np.float32),
-    "FLOAT": ("value", 1, np.float32),
-    "INT": ("value", 1, np.int32),
-    "BOOLEAN": ("value", 1, np.bool_),
-}
 
 
 def _of_corners(mesh: Any, domain: str) -> NDArray[np.int32] | None:
@@ -318,7 +313,7 @@ def load(source: MeshSource, uv_maps: Sequence[str]) -> Mesh:
         return out
     if not len(out.triangles) and source.needs_uv:
         out = replace(out, uvs=np.zeros((len(uv_maps), 0, 3, 2), np.float32))
-    return source.fibres.behind(out, source.origin)
+    return source.fibres.behind(out, source.origin, uv_maps)
 
 
 def _loaded(source: MeshSource, mesh: Any, uv_maps: Sequence[str]) -> Mesh:
@@ -341,12 +336,10 @@ def _loaded(source: MeshSource, mesh: Any, uv_maps: Sequence[str]) -> Mesh:
     elif mesh.normals_domain == "POINT":
         normals = _normals(mesh)
     if loops is not None and source.needs_uv:
-        uvs = np.stack(
-            [
-                _attribute(mesh, name.removeprefix(NAME), loops) if name.startswith(NAME) else _uv(mesh, name)[loops]
-                for name in uv_maps
-            ]
-        )
+        at = None
+        if PLACE in uv_maps:
+            at = places_in_pattern(positions, source.bounds - (0 if source.origin is None else source.origin))
+        uvs = np.stack([_map(mesh, name, loops, vertices[kept], at) for name in uv_maps])
     if source.slot_count > 1:
         slots = _slots(mesh)[kept]
     triangles: U32 = np.ascontiguousarray(vertices[kept]).view(np.uint32)

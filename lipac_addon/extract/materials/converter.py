@@ -11,7 +11,7 @@ import numpy as np
 from ....core.arrays import Records
 from ....core.scene.model import Shader, Unsure, default_material
 from .ranges import glow_of, most_of, range_of
-from .reader import MEAN, Reader, Value, grey
+from .reader import LUMINANCE, MEAN, Reader, Value, grey
 from .textures import TextureTable
 from .trees import (
     UNKNOWN,
@@ -28,6 +28,7 @@ from .trees import (
 )
 
 HALF = grey(0.5)
+DARK = 0.15  # share of the places that are at most as bright as what is surely there: fewer fill no tile
 FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding
 
 
@@ -100,11 +101,18 @@ class Converter:
 
     def base(self, record: Records, socket: Any) -> None:
         """What it reflects or lets through; where nothing says what bounds that, it is not known what light comes by
-        it."""
-        before = self.reader.doubts
-        self.color(record, "base_color", self.reader.value(socket))
-        if self.most and self.reader.doubts > before and not np.isfinite(range_of(socket)).all():
-            mark(record, Unsure.LIGHT)
+        it. Of what differs from place to place, and nobody knows where, a place is surely as bright as its dark parts;
+        where these are much darker, half as bright, for they may be twice as many there, before all that lies on
+        them."""
+        before, value = self.reader.doubts, self.reader.value(socket)
+        self.color(record, "base_color", value)
+        if self.most and self.reader.doubts > before:
+            if not np.isfinite(range_of(socket)).all():
+                mark(record, Unsure.LIGHT)
+            elif value.use is not None:
+                bright = self.reader.pixels(value)[..., :3] @ LUMINANCE
+                share = min(float(np.quantile(bright, DARK)) / max(float(bright.mean()), 1e-6), 1.0)
+                record["sure"] = share * (1 + share) / 2
 
     def scalar(self, record: Records, field: str, value: Value) -> None:
         """A scalar, its texture and the channel it reads."""
@@ -160,7 +168,12 @@ class Converter:
                 self.report(f"{source.bl_label} node on Normal not rendered: half of what is reflected is spread")
                 self._spread = max(self._spread, UNKNOWN)
             return
-        value = self.reader.image(self.reader.value(source.inputs["Color"]))
+        value = self.reader.value(source.inputs["Color"])
+        if self.reader.flat(value) is not value:
+            self.report(f"{source.bl_label} node on Normal not rendered: half of what is reflected is spread")
+            self._spread = max(self._spread, UNKNOWN)
+            return
+        value = self.reader.image(value)
         if value.use is None:
             return
         roughness = self._lost(value)

@@ -26,7 +26,21 @@ from .converter import Converter
 from .displacement import Relief, relief_of
 from .reader import Reader, View, no_objects
 from .textures import TextureTable
-from .trees import UNKNOWN, Composed, Tree, black, clear, heads, key_of, leaves, mixed, spread, unsure
+from .trees import (
+    UNKNOWN,
+    Composed,
+    Tree,
+    black,
+    clear,
+    heads,
+    key_of,
+    leaves,
+    mixed,
+    opaque_to_shadows,
+    passes_straight,
+    spread,
+    unsure,
+)
 
 LIGHT_LOOP = {
     "ShaderNodeLightAccumulation", "ShaderNodeLightEvaluation", "ShaderNodeLightInfo", "ShaderNodeShadowRaycast"
@@ -113,6 +127,8 @@ class MaterialTable:
             bumps = material.displacement_method == "BUMP"
             report("bump not rendered: half of what is reflected is spread" if bumps else "displacement not rendered")
             out = spread(out, UNKNOWN) if bumps and self.most else out
+        if not material.use_transparent_shadow and any(passes_straight(leaf) for leaf in leaves(out)):
+            out = opaque_to_shadows(out)
         for record in (*leaves(out), *heads(out)):
             record["mis_emission"] = material.cycles.emission_sampling != "NONE"
             if not self.most:
@@ -168,7 +184,7 @@ def convert_tree(
 
     def seen_by(view: View) -> tuple[Tree, bool]:
         """What a view sees, and whether that depends on it."""
-        reader = Reader(textures, report, view, nodes, objects)
+        reader = Reader(textures, report, view, nodes, objects, most)
         return Converter(textures, report, reader, shaders, most).output(output), reader.asked
 
     out, asked = seen_by(View(0, False))

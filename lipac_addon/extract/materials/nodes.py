@@ -262,7 +262,9 @@ def node_curve_rgb(reader: Reader, node: Any, socket: Any) -> Value | None:
 
 
 def node_hue_sat(reader: Reader, node: Any, socket: Any) -> Value | None:
-    hue, saturation, value, factor = (reader.value(node.inputs[k]) for k in ("Hue", "Saturation", "Value", "Factor"))
+    hue, saturation, value, factor = (
+        reader.flat(reader.value(node.inputs[k])) for k in ("Hue", "Saturation", "Value", "Factor")
+    )
     if any(v.use is not None for v in (hue, saturation, value, factor)):
         return None
     h, s, v, t = hue.scalar, saturation.scalar, value.scalar, factor.scalar

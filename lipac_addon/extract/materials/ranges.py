@@ -64,13 +64,14 @@ def range_of(socket: Any) -> Interval:
     """Within what the value of a socket lies; of a vector or colour, each of its components."""
     if socket.is_linked:
         link = socket.links[0]
-        return _output(link.from_node, link.from_socket)
+        return output_range(link.from_node, link.from_socket)
     value = socket.default_value
     numbers = [float(value)] if isinstance(value, (int, float)) else [float(v) for v in value[:3]]
     return min(numbers), max(numbers)
 
 
-def _output(node: Any, socket: Any) -> Interval:
+def output_range(node: Any, socket: Any) -> Interval:
+    """Within what an output of a node lies, as `range_of`."""
     method: Callable[[Any], Interval] | None = _NODES.get(node.type)
     if socket.name.startswith("Is "):  # of Light Path
         return UNIT

@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from ....core.scene.model import Extension
 from ... import attributes
 from .arithmetic import Array
+from .ranges import output_range
 from .textures import ImageUse, TextureTable
 
 LUMINANCE = np.array([0.2126729, 0.7151522, 0.0721750], np.float32)  # Rec.709
 ALPHA = 3
+TILES = {"TEX_CHECKER", "TEX_BRICK"}
 MEAN = 4  # the channel value that stands for luminance
 
 
@@ -72,10 +74,12 @@ class Reader:
         view: View,
         nodes: ModuleType,
         objects: Callable[[], NDArray[np.float64]] = no_objects,
+        patterns: bool = False,
     ) -> None:
         """nodes: its functions `node_TYPE(reader, node, socket)` evaluate nodes of the type of that name in lower case,
-        or return None. objects: the colours, (K, 4), of the objects that show the tree."""
-        self.nodes, self.objects = nodes, objects
+        or return None. objects: the colours, (K, 4), of the objects that show the tree. patterns: what is not followed
+        but lies within known bounds is a pattern of all that it may be; else its average."""
+        self.nodes, self.objects, self.patterns = nodes, objects, patterns
         self.textures = textures
         self.report = report
         self.view = view
@@ -101,7 +105,7 @@ class Reader:
 
     def constant(self, socket: Any, what: str = "") -> NDArray[np.float64]:
         """(3,) of an input that the core takes untextured: the mean where an image is linked, and a report."""
-        value = self.value(socket)
+        value = self.flat(self.value(socket))
         if value.use is not None:
             self.doubt(f"texture on {what or socket.name} replaced by its average")
             return self.pixels(value)[..., :3].reshape(-1, 3).mean(axis=0).astype(np.float64)
@@ -129,12 +133,14 @@ class Reader:
     def map(self, function: Callable[..., Any], *values: Value) -> Value:
         """A function of (H, W, 3) arrays, pixel by pixel. Images that are placed differently cannot be combined: all
         but the first become their average."""
-        first = next((v.use for v in values if v.use is not None), None)
+        uses = [v.use for v in values if v.use is not None]
+        first = next((use for use in uses if not self._is_pattern(use)), uses[0] if uses else None)
         arrays = []
         for v in values:
             pixels = self.pixels(v)
             if v.use is not None and first is not None and not self._aligned(v.use, first):
-                self.doubt("images with different placement are combined: one is replaced by its average")
+                if not self._is_pattern(v.use):
+                    self.doubt("images with different placement are combined: one is replaced by its average")
                 pixels = pixels.mean(axis=(0, 1), keepdims=True)
             arrays.append(pixels[..., :3])
         with np.errstate(all="ignore"):
@@ -169,6 +175,27 @@ class Reader:
         place = self.textures.uv_map(f"{attributes.NAME}{name}")
         return Value((1.0, 1.0, 1.0), ImageUse(palette, place, extension=int(Extension.EXTEND), closest=True))
 
+    def flat(self, value: Value) -> Value:
+        """The value, in place of a pattern its average."""
+        if value.use is None or not self._is_pattern(value.use):
+            return value
+        mean = self.pixels(value)[..., :3].mean(axis=(0, 1))
+        return Value(tuple(float(x) for x in mean))  # type: ignore[arg-type]
+
+    def _is_pattern(self, use: ImageUse) -> bool:
+        return self.textures.uv_maps[use.uv_map] == attributes.PLACE
+
+    def _pattern(self, node: Any, first: Any, second: Any) -> Value:
+        """Stand-in for a node that lies between two colours: now one, now the other, and, but for tiles, what is
+        between."""
+        self.doubt(f"{node.bl_label} node replaced by a pattern")
+        place = self.textures.uv_map(attributes.PLACE)
+        value = Value((1.0, 1.0, 1.0), ImageUse(self.textures.add(attributes.pattern()), place))
+        a, b = (np.broadcast_to(np.asarray(x, np.float32), 3) for x in (first, second))
+        if node.type in TILES:
+            return self.map(lambda t: np.where(t < 0.5, a, b), value)
+        return value if not a.any() and (b == 1).all() else self.map(lambda t: a + t * (b - a), value)
+
     def average(self, node: Any, color: Any) -> Value:
         """Stand-in for a node that the engine does not evaluate."""
         self.doubt(f"{node.bl_label} node replaced by a constant")
@@ -178,8 +205,13 @@ class Reader:
         function = getattr(self.nodes, f"node_{node.type.lower()}", None)
         if function is not None:
             result = function(self, node, socket)
-            return result if isinstance(result, Value) else self.average(node, 0.5)
-        if node.type in {"TEX_CHECKER", "TEX_BRICK"}:
+            return result if isinstance(result, Value) else self._unknown(node, socket)
+        if node.type in TILES and socket.type == "RGBA":
             a, b = (self.constant(node.inputs[k]) for k in ("Color1", "Color2"))
-            return self.average(node, (a + b) / 2 if socket.type == "RGBA" else 0.5)
-        return self.average(node, 0.5)
+            return self._pattern(node, a, b) if self.patterns else self.average(node, (a + b) / 2)
+        return self._unknown(node, socket)
+
+    def _unknown(self, node: Any, socket: Any) -> Value:
+        """Stand-in for an output that is not followed."""
+        bounds = output_range(node, socket)
+        return self._pattern(node, *bounds) if self.patterns and np.isfinite(bounds).all() else self.average(node, 0.5)

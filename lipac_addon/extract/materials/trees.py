@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....core.arrays import Records
-from ....core.scene.model import Shader, Unsure, default_material
+from ....core.scene.model import VIEWS, RayType, Shader, Unsure, default_material
 
 UNKNOWN = 0.5  # roughness that stands for bumps: it spreads what is reflected over some 30 degrees
 
@@ -45,7 +45,7 @@ def heads(tree: Tree) -> Iterator[Records]:
 def unsure(tree: Tree, whether: bool = False) -> Tree:
     """The material, where it is not known how much passes through it. whether: nor that it does not pass all, or
     none."""
-    clear = whether and any(_passes_straight(leaf) for leaf in leaves(tree))
+    clear = whether and any(passes_straight(leaf) for leaf in leaves(tree))
     for leaf in leaves(tree):
         mark(leaf, Unsure.BEHIND | Unsure.CLEAR if clear else Unsure.BEHIND)
     return tree
@@ -56,7 +56,7 @@ def mark(record: Records, what: Unsure) -> None:
     record["unsure"] |= np.uint32(what)
 
 
-def _passes_straight(record: Records) -> bool:
+def passes_straight(record: Records) -> bool:
     """Whether light passes a material on a straight line."""
     return bool(record["shader"] == Shader.TRANSPARENT or record["alpha"] < 1 or record["alpha_texture"] >= 0)
 
@@ -82,6 +82,13 @@ def mixed(first: Tree, second: Tree) -> Composed:
     head = default_material()
     head["shader"], head["alpha"] = Shader.MIX, 0.5
     return Composed(head, first, second)
+
+
+def opaque_to_shadows(tree: Tree) -> Tree:
+    """The material, which lets light of lamps through nowhere (Blender's Transparent Shadows is off)."""
+    head = default_material()
+    head["shader"], head["rays"] = Shader.BY_RAY, 1 << RayType.SHADOW | 1 << (VIEWS + RayType.SHADOW)
+    return Composed(head, tree, black())
 
 
 def spread(tree: Tree, roughness: float) -> Tree:

@@ -95,7 +95,7 @@ class LiveWorld:
     ) -> tuple[ExtractedWorld, bool]:
         """The world, and whether it was rendered, which gives the graph new data-blocks. goes_on: graph is the one that
         was read last."""
-        from ...extract.world import constant_world, extract_world, fingerprint
+        from ...extract.world import constant_world, extract_world, fingerprint, world_of
 
         if (
             self.world is not None
@@ -103,7 +103,7 @@ class LiveWorld:
             and not any(part in type(u.id).__name__ for u in graph.updates for part in _WORLDLY)
         ):
             return self.world, False
-        item = getattr(graph.view_layer_eval, "world_override", None) or graph.scene_eval.world
+        item = world_of(graph.scene_eval, graph.view_layer_eval)
         found, mark = constant_world(item), ""
         rendered = False
         if found is None:

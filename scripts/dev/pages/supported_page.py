@@ -81,7 +81,8 @@ def _nodes() -> str:
     no = sorted({label for kind, label in kinds.items() if not is_followed(kind)} - set(yes))
     texts = (
         f"Followed: {', '.join(yes)}.",
-        f"Replaced by a constant or an average, or taken as diffuse, which the report says: {', '.join(no)}.",
+        f"Replaced by a pattern, a constant or an average, or taken as diffuse, which the report says: "
+        f"{', '.join(no)}.",
     )
     return "\n\n".join(textwrap.fill(text, 120) for text in texts)
 

@@ -328,3 +328,18 @@ def test_cancel_keeps_what_is_there() -> None:
     calls: list[float] = []
     render(room(), 1, progress=lambda fraction, what: calls.append(fraction))
     assert calls[-1] == 1.0 and calls == sorted(calls)
+
+
+@pytest.mark.parametrize(
+    ("ceiling", "glow", "reach", "expected"),
+    [(20.0, 0.0, 5.0, 1.0), (20.0, 0.0, 200.0, 0.0), (3.0, 0.0, 5.0, 0.0), (3.0, 4.0, 5.0, 2.0)],
+)
+def test_fast_gi(ceiling: float, glow: float, reach: float, expected: float) -> None:
+    """A floor of albedo 0.5 under a ceiling, in a world of radiance 1: rays that meet nothing within reach see the
+    world, twice as bright, through whatever is farther; what glows still lights it."""
+    materials = [material(base_color=0.5), material(base_color=0.8, emission=glow)]
+    placement = [(0, scenes.placed((0, 0, 0), 50.0), 0), (0, scenes.placed((0, 0, ceiling), 1e4), 1)]
+    limits = s.PathLimits(fast_gi=1, fast_reach=reach, fast_factor=2.0)
+    scene = scenes.build([scenes.quad()], placement, materials, spot_above(0.0), size=(32, 32), limits=limits)
+    found, error = mean(render(scene, 64))
+    assert abs(found - expected) <= 4 * error + 0.01

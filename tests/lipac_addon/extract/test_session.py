@@ -513,3 +513,20 @@ def test_what_cannot_be_put_back_keeps_nothing_else_from_it() -> None:
     with pytest.raises(TypeError), changed(render, use_border=True, engine="NO_SUCH_ENGINE"):
         pass
     assert not render.use_border
+
+
+def test_what_cycles_dices_is_subdivided() -> None:
+    """Adaptive subdivision without levels of its own: a ball, not the cube that Blender evaluates; the file keeps its
+    levels, and what has levels enough is as it is."""
+    ob = add("cube", cube())
+    modifier = ob.modifiers.new("dice", "SUBSURF")
+    modifier.levels = modifier.render_levels = 0
+    scene = bpy.context.scene
+    assert len(extract_frame(scene).scene.meshes[0].triangles) == 12
+    modifier.use_adaptive_subdivision = True
+    mesh = extract_frame(scene).scene.meshes[0]
+    assert len(mesh.triangles) == 12 * 4**3
+    assert np.linalg.norm(mesh.positions, axis=1).max() < 1  # its corners were at the root of 3
+    assert modifier.render_levels == 0
+    modifier.render_levels = 4
+    assert len(extract_frame(scene).scene.meshes[0].triangles) == 12 * 4**4

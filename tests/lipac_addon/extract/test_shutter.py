@@ -160,3 +160,18 @@ def test_a_rolling_shutter_is_said(exposed: Any) -> None:
             bpy.data.objects["cube"].animation_data_clear()
         lines = [line for line in extract_frame(exposed).scene.approximated if line.startswith("rolling")]
         assert bool(lines) == said
+
+
+@pytest.mark.parametrize(
+    ("position", "moments"), [("START", (0.5, 1.0)), ("CENTER", (-0.5, 0.5)), ("END", (-1.0, -0.5))]
+)
+def test_what_passes_while_the_shutter_is_open_is_looked_at_half_way(
+    exposed: Any, position: str, moments: tuple[float, ...]
+) -> None:
+    """Wherever the frame lies in the exposure: a train is before the picture when it begins, and behind it at its
+    end."""
+    animate(bpy.data.objects["cube"], "location", 0, (0, -50.0), (10, 50.0))
+    exposed.render.motion_blur_position = position
+    assert extract_frame(exposed).moments == moments
+    exposed.view_layers[0].use_motion_blur = False
+    assert extract_frame(exposed).moments == ()

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from lipac.core.scene.model import RayType
-from lipac.lipac_addon.extract import extract_world
+from lipac.lipac_addon.extract import extract_frame, extract_world
 from lipac.lipac_addon.extract import world as module
+
+from .conftest import add, cube
 
 
 def new_world() -> tuple[Any, Any, Any]:
@@ -146,3 +148,35 @@ def test_sky_with_a_sun_keeps_its_power() -> None:
     # Coverage of some 8 pixels on the disc's edge by 16 stratified samples each: under 10 % of their share, which is
     # most of the disc
     assert sun(256) == pytest.approx(sun(512), rel=0.2)
+
+
+def test_a_layer_without_environment_is_black() -> None:
+    """Its light is none that changes could be relative to, whether it is constant or not; another layer has it."""
+    _, tree, background = new_world()
+    background.inputs["Color"].default_value = (1, 1, 1, 1)
+    scene = bpy.context.scene
+    add("cube", cube())
+    lit, dark = scene.view_layers[0], scene.view_layers.new("dark")
+    dark.use_sky = False
+    for layer, light in ((lit, 1.0), (dark, 0.0)):
+        world = extract_frame(scene, view_layer=layer.name).scene.world
+        assert (world.image, world.color.tolist()) == (None, [light] * 3)
+    tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"], background.inputs["Color"])
+    world = extract_frame(scene, view_layer="dark").scene.world
+    assert (world.image, world.color.tolist()) == (None, [0.0] * 3)
+
+
+def test_suns_of_worlds_that_tell_rays_apart_are_not_clamped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is not for the camera is baked through a pane, which makes it indirect light."""
+    monkeypatch.setattr(module, "BAKE_HEIGHT", 32)
+    _, tree, background = new_world()
+    path, mix = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMixShader")
+    bright, out = tree.nodes.new("ShaderNodeBackground"), next(n for n in tree.nodes if n.type == "OUTPUT_WORLD")
+    bright.inputs["Strength"].default_value = 500.0
+    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs[0])
+    tree.links.new(bright.outputs[0], mix.inputs[1])
+    tree.links.new(background.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], out.inputs[0])
+    world = extract_world(bpy.context.scene).world
+    assert world.image is not None
+    np.testing.assert_allclose(np.median(world.image), 400.0, rtol=1e-3)  # the colour is 0.8

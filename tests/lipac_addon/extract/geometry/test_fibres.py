@@ -77,7 +77,7 @@ def test_behind_a_mesh() -> None:
     )
     assert found is not None
     mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.uint32), uvs=np.ones((2, 1, 3, 2), np.float32))
-    out = found.behind(mesh, np.array([1.0, 0, 0]))
+    out = found.behind(mesh, np.array([1.0, 0, 0]), ("", "other"))
     assert out.uvs is not None
     assert out.slots is not None
     assert (len(out.triangles), out.uvs.shape, out.slots.tolist()) == (13, (2, 13, 3, 2), [0, *4 * [3], *8 * [0]])
@@ -172,3 +172,82 @@ def test_hair_of_what_is_nowhere_is_left_out_with_it() -> None:
     extraction = extract_frame(bpy.context.scene)
     assert len(extraction.scene.instances) == 1
     assert any("grown" in line and "left out" in line for line in extraction.warnings)
+
+
+def test_a_layer_without_hair_has_none() -> None:
+    """Neither strands of particles nor curves."""
+    grown()
+    data = bpy.data.hair_curves.new("curves")
+    data.add_curves([4])
+    data.attributes["position"].data.foreach_set("vector", np.linspace(0, 1, 12).astype(np.float32))
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("curves", data))
+    assert [len(mesh.triangles) > 12 for mesh in extract_frame(bpy.context.scene).scene.meshes] == [True, False]
+    bpy.context.scene.view_layers[0].use_strand = False
+    assert [len(mesh.triangles) for mesh in extract_frame(bpy.context.scene).scene.meshes] == [12]
+
+
+def glowing_by(name: str, kind: str = "Attribute") -> Any:
+    """A material that shows an attribute, or what an image has at a UV map."""
+    out = bpy.data.materials.new("glow")
+    tree = out.node_tree
+    tree.nodes.clear()
+    node, emission = tree.nodes.new(f"ShaderNode{kind}"), tree.nodes.new("ShaderNodeEmission")
+    if kind == "Attribute":
+        node.attribute_name = name
+    else:
+        node.image = bpy.data.images.new("halves", 2, 1, float_buffer=True)
+        node.image.pixels.foreach_set(np.array([1, 0, 0, 1, 0, 0, 1, 1], np.float32))
+        node.interpolation = "Closest"
+    tree.links.new(node.outputs["Color"], emission.inputs["Color"])
+    tree.links.new(emission.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs[0])
+    return out
+
+
+def colors_shown(mesh: Mesh, scene: Any) -> Any:
+    """(T, 3) of what triangles show by the only texture that there is."""
+    (record,) = scene.textures.records
+    size = int(record["width"]), int(record["height"])
+    first = int(record["offset"])
+    pixels = scene.textures.floats[first : first + 4 * size[0] * size[1]].reshape(size[1], size[0], 4)
+    assert mesh.uvs is not None
+    u, v = (mesh.uvs[record["uv_map"], :, 0] % 1).T
+    return pixels[(v * size[1]).astype(int), (u * size[0]).astype(int), :3]
+
+
+def test_points_and_strands_show_their_attributes() -> None:
+    """Each point its own, each control point, or one of a curve; sparks are as bright as that says."""
+    cloud = bpy.data.pointclouds.new("cloud")
+    cloud.resize(3)
+    values = np.array([[0.0, 0.0, 0.0, 1], [4.0, 0.5, 0.0625, 1], [1024.0, 0.0, 1.0, 1]], np.float32)
+    cloud.attributes.new("heat", "FLOAT_COLOR", "POINT").data.foreach_set("color", values.ravel())
+    cloud.materials.append(glowing_by("heat"))
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("cloud", cloud))
+    curves = bpy.data.hair_curves.new("curves")
+    curves.add_curves([3, 3])
+    curves.attributes["position"].data.foreach_set("vector", np.linspace(0, 1, 18).astype(np.float32))
+    curves.attributes.new("heat", "FLOAT", "CURVE").data.foreach_set("value", np.array([2.0, 8.0], np.float32))
+    curves.materials.append(cloud.materials[0])
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("curves", curves))
+    scene = extract_frame(bpy.context.scene).scene
+    balls, ribbon = sorted((scene.meshes[m] for m in range(2)), key=lambda mesh: -len(mesh.triangles))
+    np.testing.assert_allclose(colors_shown(balls, scene), np.repeat(values[:, :3], 8, axis=0), rtol=0.2)
+    np.testing.assert_allclose(colors_shown(ribbon, scene)[:, 0], [2, 2, 8, 8] * 2, rtol=0.2)
+
+
+def test_hair_shows_what_is_at_its_roots() -> None:
+    """An image by the UVs of what it grows on, for parents and for children."""
+    ob = grown(child_type="SIMPLE", rendered_child_count=3, roughness_1=0.0)
+    by_image = glowing_by("", "TexImage")
+    for slot in ob.material_slots:
+        slot.material = by_image
+    layer = ob.data.uv_layers.new(name="UVMap")
+    high = [ob.data.vertices[loop.vertex_index].co.z > 0 for loop in ob.data.loops]
+    layer.uv.foreach_set("vector", np.array([(0.25 + 0.5 * top, 0.5) for top in high], np.float32).ravel())
+    scene = extract_frame(bpy.context.scene).scene
+    mesh = scene.meshes[0]
+    shown = colors_shown(mesh, scene)[12:].reshape(2, -1, 8, 3)  # halves of segments; strands, their segments
+    assert (shown == shown[:, :, :1]).all()
+    blue, root = shown[0, :, 0, 2], mesh.positions[8:].reshape(len(shown[0]), 9, 2, 3)[:, 0].mean(axis=1)
+    assert 0.2 < blue.mean() < 0.8
+    assert (blue[root[:, 2] > 0.9] == 1).all()
+    assert (blue[root[:, 2] < -0.9] == 0).all()

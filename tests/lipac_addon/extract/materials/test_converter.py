@@ -466,6 +466,55 @@ def test_a_colour_that_may_be_anything_is_not_sure(kind: str, known: bool) -> No
         assert (record["unsure"], len(lines)) == (0 if known else Unsure.LIGHT, 1)
 
 
+@pytest.mark.parametrize("kind", ["Noise", "Checker", "Brick"])
+def test_patterns_stand_for_patterns(kind: str) -> None:
+    """What is dark here and bright there is so in the analysis, elsewhere, by the place on the mesh: small things
+    differ from it as they do in truth. Where it is dark in truth it surely is as bright as half of that; tiles are one
+    or the other."""
+    t = Tree()
+    texture = t.new(f"ShaderNodeTex{kind}")
+    if kind == "Noise":
+        ramp = t.new("ShaderNodeValToRGB", {0: texture.outputs[0]})
+        for element, x, color in zip(ramp.color_ramp.elements, (0.4, 0.6), (0.1, 0.9), strict=True):
+            element.position, element.color = x, (color, color, color, 1)
+        color = ramp.outputs[0]
+    else:
+        texture.inputs["Color1"].default_value, texture.inputs["Color2"].default_value = (0.1,) * 4, (0.9,) * 4
+        color = texture.outputs["Color"]
+    record, textures, lines = t.record(t.new("ShaderNodeBsdfDiffuse", {"Color": color}))
+    assert lines == [f"material m: {texture.bl_label} node replaced by a pattern"]
+    shown = pixels_of(textures, record["base_color_texture"])[..., 0]
+    np.testing.assert_allclose((shown.min(), shown.max(), shown.mean()), (0.1, 0.9, 0.5), atol=0.02)
+    assert np.isin(shown, np.array((0.1, 0.9), np.float32)).mean() > (0.75 if kind == "Noise" else 0.999)
+    tiles = shown.reshape(8, 32, 8, 32).mean(axis=(1, 3))
+    assert tiles.min() < 0.25
+    assert tiles.max() > 0.75
+    np.testing.assert_allclose(record["sure"], 0.2 * 1.2 / 2, rtol=0.05)
+    add("cube", cube()).data.materials.append(t.material)
+    scene = extract_frame(bpy.context.scene).scene
+    uvs = scene.meshes[0].uvs
+    assert uvs is not None
+    assert len(np.unique(uvs[scene.textures.records["uv_map"][0]].reshape(-1, 2).round(4), axis=0)) == 8  # its corners
+    table = MaterialTable(TextureTable(print), most=False)
+    table.index(t.material)
+    assert table.build()[0]["base_color_texture"] < 0
+
+
+def test_transparent_shadows_that_are_off() -> None:
+    """What may be seen through is opaque to the light of lamps."""
+    t = Tree()
+    clear, solid = t.new("ShaderNodeBsdfTransparent"), t.new("ShaderNodeBsdfDiffuse")
+    mix = t.new("ShaderNodeMixShader", {0: 0.1, 1: clear.outputs[0], 2: solid.outputs[0]})
+    assert t.parts(mix)[0][0]["shader"] == Shader.MIX
+    t.material.use_transparent_shadow = False
+    head, *parts = t.parts(mix)[0]
+    assert head["shader"] == Shader.BY_RAY
+    assert views(head["rays"]) == [{int(RayType.SHADOW)}, {int(RayType.SHADOW)}]
+    assert parts[head["parts"][1] - 1]["shader"] == Shader.EMISSION
+    assert not parts[head["parts"][1] - 1]["emission"].any()
+    assert t.record(solid)[0]["shader"] == Shader.DIFFUSE
+
+
 def test_of_sheen_none_is_sure() -> None:
     """Looked at from above it is dark."""
     t = Tree()
