@@ -196,8 +196,7 @@ class GraphReader:
         else:
             key = f"mesh {full_name(item.data)}" if data and not len(item.modifiers) else f"object {node.full_name}"
             evaluated = item.evaluated_geometry(), item.evaluated_geometry()
-            strands = hair(item) if self.layer.use_strand else None
-            node.geometry = self.geometry.read(*evaluated, item, key, lines, data, strands)
+            node.geometry = self.geometry.read(*evaluated, item, key, lines, data, hair(item))
         if node.geometry.groups:
             # Instances of geometry nodes come before the older ones, which are of objects and always have an id
             objects = all(isinstance(target, Node) for _, target in node.geometry.groups)

@@ -142,7 +142,7 @@ class GeometryReader:
         while self.meshes.taken(key):  # an evaluated mesh of an object's own may have the name of another
             key = f"{key}\n{item.name}"
         materials: Slots = () if geometry.mesh is None else self._slots(item, geometry.mesh)
-        found = [hair]
+        found = [hair if self.strands else None]
         for name, kind, as_faces in (
             ("curves", "curves (hair)", strands),
             ("pointcloud", "point cloud", balls),

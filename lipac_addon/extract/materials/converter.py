@@ -10,6 +10,7 @@ import numpy as np
 
 from ....core.arrays import Records
 from ....core.scene.model import Shader, Unsure, default_material
+from .arithmetic import Array
 from .ranges import glow_of, most_of, range_of
 from .reader import LUMINANCE, MEAN, Reader, Value, grey
 from .textures import TextureTable
@@ -30,6 +31,15 @@ from .trees import (
 HALF = grey(0.5)
 DARK = 0.15  # share of the places that are at most as bright as what is surely there: fewer fill no tile
 FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding
+
+
+def _sure(pixels: Array) -> float:
+    """What differs from place to place, and nobody knows where: to its mean, how bright a place surely is. As bright as
+    its dark parts; where these are much darker, half as bright, for there may be twice as many of them, before all that
+    lies on them. pixels: (H, W, 4), as much of each colour as there is on the whole."""
+    bright = pixels[..., :3] @ LUMINANCE
+    share = min(float(np.quantile(bright, DARK)) / max(float(bright.mean()), 1e-6), 1.0)
+    return share * (1 + share) / 2
 
 
 class Converter:
@@ -101,18 +111,14 @@ class Converter:
 
     def base(self, record: Records, socket: Any) -> None:
         """What it reflects or lets through; where nothing says what bounds that, it is not known what light comes by
-        it. Of what differs from place to place, and nobody knows where, a place is surely as bright as its dark parts;
-        where these are much darker, half as bright, for they may be twice as many there, before all that lies on
-        them."""
+        it."""
         before, value = self.reader.doubts, self.reader.value(socket)
         self.color(record, "base_color", value)
         if self.most and self.reader.doubts > before:
             if not np.isfinite(range_of(socket)).all():
                 mark(record, Unsure.LIGHT)
             elif value.use is not None:
-                bright = self.reader.pixels(value)[..., :3] @ LUMINANCE
-                share = min(float(np.quantile(bright, DARK)) / max(float(bright.mean()), 1e-6), 1.0)
-                record["sure"] = share * (1 + share) / 2
+                record["sure"] = _sure(self.reader.pixels(value))
 
     def scalar(self, record: Records, field: str, value: Value) -> None:
         """A scalar, its texture and the channel it reads."""

@@ -332,7 +332,7 @@ def test_cancel_keeps_what_is_there() -> None:
 
 @pytest.mark.parametrize(
     ("ceiling", "glow", "reach", "expected"),
-    [(20.0, 0.0, 5.0, 1.0), (20.0, 0.0, 200.0, 0.0), (3.0, 0.0, 5.0, 0.0), (3.0, 4.0, 5.0, 2.0)],
+    [(20.0, 0.0, 5.0, 1.0), (20.0, 0.0, 200.0, 0.0), (3.0, 0.0, 5.0, 0.36), (3.0, 4.0, 1000.0, 2.0)],
 )
 def test_fast_gi(ceiling: float, glow: float, reach: float, expected: float) -> None:
     """A floor of albedo 0.5 under a ceiling, in a world of radiance 1: rays that meet nothing within reach see the
