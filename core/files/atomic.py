@@ -11,7 +11,7 @@ import secrets
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -68,7 +68,7 @@ def check_writable(folder: Path) -> None:
         pass
 
 
-def sweep(folder: Path, stems: set[str]) -> None:
+def sweep(folder: Path, stems: Container[str]) -> None:
     """Remove what processes that were killed had begun to write in a folder, of files of these names without their
     endings."""
     with suppress(OSError), os.scandir(folder) as entries:

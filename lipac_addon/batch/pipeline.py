@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import bpy
 
@@ -25,6 +26,7 @@ from .session import sessions_of
 from .shot import run_shot
 
 STEREO = "stereo: each view sees something else, and one camera is analysed: nothing is culled"
+_NAME = re.compile(r"frame_(-?\d+)(?:_[a-z]+)?")
 
 
 def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel = never) -> None:
@@ -61,18 +63,28 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
 
 
 def _sweep(job: Job, keep_analyses: bool) -> None:
-    """Remove what a command that was killed left of files of these frames that it had begun to write; analyses for
-    shots too, where they are not to be kept."""
-    stems = {f"frame_{frame:04}" for frame in job.frames}
-    sweep(job.folder, stems | {f"{stem}_layers" for stem in stems})
-    for folder in (job.folder / "states", job.folder / "analysis"):
-        sweep(folder, stems)
-    sweep(job.folder / "verified", {f"{stem}_{name}" for stem in stems for name in ("full", "culled")})
-    unwanted = set() if keep_analyses else {job.analysis(frame).stem for frame in job.shot or job.frames}
+    """Remove what a command that was killed left of files of these frames, and of reports, that it had begun to write;
+    analyses for shots too, where they are not to be kept."""
+    names = _NamesOfFrames(frozenset(job.frames))
+    for folder in (".", "states", "analysis", "verified"):
+        sweep(job.folder / folder, names)
+    sweep(job.folder, {"report", "memory"})
+    unwanted = _NamesOfFrames(frozenset(() if keep_analyses else job.shot or job.frames))
     with alone(job.folder):
         for path in (job.folder / "analysis").glob("frame_*.npz"):
             if "_".join(path.stem.split("_")[:2]) in unwanted:
                 path.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True)
+class _NamesOfFrames:
+    """Names of files of frames without their endings. There may be a million frames, so the names are not made."""
+
+    frames: frozenset[int]
+
+    def __contains__(self, stem: object) -> bool:
+        found = _NAME.fullmatch(str(stem))
+        return found is not None and int(found[1]) in self.frames
 
 
 def _run_frames(job: Job, finished: set[int], report: Report, progress: Progress, cancelled: Cancel) -> None:
