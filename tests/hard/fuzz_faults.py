@@ -63,11 +63,14 @@ def run(seed: int, what: str | None = None) -> dict[str, Any]:
 
 @contextmanager
 def raising(after: int, error: type[BaseException]) -> Iterator[list[int]]:
-    """Raise an error so many lines of write-back on, once; what is yielded counts them."""
+    """Raise an error so many lines of write-back on, once; what is yielded counts them, and has their numbers behind
+    the count."""
     lines = [0]
 
-    def within(_frame: FrameType, event: str, _arg: object) -> Any:
-        lines[0] += event == "line"
+    def within(frame: FrameType, event: str, _arg: object) -> Any:
+        if event == "line":
+            lines[0] += 1
+            lines.append(frame.f_lineno)
         if lines[0] == after:
             raise error
         return within

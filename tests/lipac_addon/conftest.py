@@ -25,10 +25,17 @@ def ground_and_boxes() -> None:
     bpy.ops.object.camera_add(location=(0, -12, 5), rotation=(1.25, 0, 0))
     scene.camera = bpy.context.object
     scene.world = bpy.data.worlds.new("World")
+    draw_quickly(scene)
     render = scene.render
     render.engine, render.resolution_x, render.resolution_y, render.resolution_percentage = "CYCLES", 64, 36, 100
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 2, False, False
     scene.cycles.max_bounces = 2
+
+
+def draw_quickly(scene: bpy.types.Scene) -> None:
+    """Have EEVEE prepare maps that are as large as small pictures of a plain world need: it does so for every render,
+    by the processor where there is no graphics card."""
+    scene.world.probe_resolution, scene.eevee.shadow_pool_size = "128", "16"
 
 
 def save_rising(folder: Path) -> Path:

@@ -32,6 +32,7 @@ from ..pictures.strips import strip
 from .report import pictures_folder, pop, write_page
 
 FRAMES = 9
+RASTER_SAMPLES = 4
 NEAR, FAR = 9.0, 11.0  # metres from the camera to the slab's middle, along the floor
 KEPT = 8.6  # distance of the slab's box up to which it is kept
 FALLBACKS = {"raster shadow maps": "raster", "none": "traced"}
@@ -145,7 +146,7 @@ def frame(scene: Any, cull: CullOptions, primary: str, samples: int) -> tuple[F3
         stem = Path(folder) / "frame"
         result, _ = render_hybrid(
             extract_frame(scene, scene.frame_current).scene,
-            HybridOptions(primary=primary, raster_samples=4),
+            HybridOptions(primary=primary, raster_samples=RASTER_SAMPLES),
             cull,
             stem,
             samples,

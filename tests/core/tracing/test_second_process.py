@@ -1,4 +1,5 @@
-"""Two processes share the compiling."""
+"""Two processes share the compiling. That what one has compiled is what the other loads, and that nothing is compiled
+again, is tested where all is compiled: tests/scripts/dev/test_make_extension.py."""
 
 from __future__ import annotations
 
@@ -15,61 +16,6 @@ from numba.core import event
 from lipac.core.tracing import second_process
 
 pytestmark = pytest.mark.slow
-
-# Analyses a tiny scene, and prints what it compiled for that.
-ANALYSIS = """
-import json, sys
-import lipac.core
-from numba.core import event
-compiled = []
-class Listener(event.Listener):
-    def on_start(self, event):
-        function = event.data["dispatcher"].py_func
-        compiled.append(function.__module__ + "." + function.__qualname__)
-    def on_end(self, event):
-        pass
-event.register("numba:compile", Listener())
-from lipac.core.culling.analysis import analyze
-from lipac.core.culling.options import CullOptions
-from tests.core.scenes import build, cube, placed
-analyze(build([cube()], [(0, placed((x, 0, 0)), 0) for x in range(-40, 40)]), CullOptions(width=16, paths=1))
-print(json.dumps(compiled))
-"""
-
-
-def _compiled(cache: Path) -> list[str]:
-    """What an analysis in a process of its own compiles, of ours."""
-    environment = os.environ | {"LIPAC_CACHE_DIR": str(cache)}
-    root = Path(__file__).parents[3]
-    out = subprocess.run(
-        [sys.executable, "-c", ANALYSIS], cwd=root, env=environment, capture_output=True, text=True, check=True
-    ).stdout
-    return [name for name in json.loads(out.splitlines()[-1]) if name.startswith("lipac.")]
-
-
-def test_what_the_worker_compiled_is_loaded_and_nothing_is_compiled_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(sys, "path", [*sys.path, Path("of an add-on")])  # importing leaves these out
-    worker = second_process.start_worker()
-    assert worker is not None
-    assert worker.wait() == 0
-    names = {path.name.split("-")[0] for path in tmp_path.rglob("*.nbi")}
-    done = {
-        "setup.bsdf_setup", "sample.bsdf_sample", "evaluate.bsdf_eval", "direct_light.add_direct_light",
-        "light_sampling.sample_light"
-    }
-    assert done <= names
-
-    first = _compiled(tmp_path)
-    assert "lipac.core.tracing.tile_kernel.trace_tiles" in first
-    # or the worker's signatures are not the kernel's
-    assert not {name.removeprefix("lipac.core.") for name in first} & names
-    # numba numbers a function's variants: were there two, each process could take the same number for another one. And
-    # each takes its time.
-    assert len(list(tmp_path.rglob("*.nbc"))) == len(list(tmp_path.rglob("*.nbi")))
-    assert _compiled(tmp_path) == []
 
 
 def test_the_worker_ends_when_nobody_holds_its_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,10 +23,12 @@ from lipac.lipac_addon.raster.denoise import _library, denoise
 from lipac.lipac_addon.raster.layers import read_layers
 from lipac.lipac_addon.raster.passes import Passes, render_passes
 from lipac.scripts.lipac import main
-from lipac.scripts.studies.hybrid.pop import measure
+from lipac.scripts.studies.hybrid import pop
+
+from ..conftest import draw_quickly
 
 SMALL = ["--resolution", "64x36", "--quiet"]
-FAST = [*SMALL, "--engine", "hybrid", "--raster-samples", "2"]
+FAST = [*SMALL, "--engine", "hybrid", "--raster-samples", "1"]
 needs_opengl = pytest.mark.skipif(not opengl.has_opengl(), reason=opengl.NO_OPENGL)
 
 
@@ -52,6 +54,7 @@ def scene_file(tmp_path_factory):
     scene.world = bpy.data.worlds.new("World")
     scene.world.use_nodes = True
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.3, 0.3, 0.3, 1)
+    draw_quickly(scene)
     scene.render.engine, scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = (
         "CYCLES", 64, 36, 100
     )
@@ -130,7 +133,7 @@ def test_sequence(ride_file, tmp_path):
     names."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     command = [
-        "render", str(ride_file), *FAST, "--raster-samples", "1", "--samples", "8", "--cull", "distance", "--distance",
+        "render", str(ride_file), *FAST, "--samples", "8", "--cull", "distance", "--distance",
         "7.2"
     ]
     assert main([*command, "-o", str(whole), "--frames", "1-2"]) == 0
@@ -404,10 +407,19 @@ def test_frames_follow_each_other(scene_file, tmp_path):
 
 
 @needs_opengl
-def test_pop(tmp_path):
+def test_pop(monkeypatch):
     """A slab that distance culls in the middle one of three frames takes its shadow along, unless the raster keeps it:
     then what is left of the pop is the light that the slab bounced, less than a quarter of it here."""
-    result = measure(3, (64, 36), 8)
+    build = pop.build
+
+    def quick(size):
+        scene, camera = build(size)
+        draw_quickly(scene)
+        return scene, camera
+
+    monkeypatch.setattr(pop, "build", quick)
+    monkeypatch.setattr(pop, "RASTER_SAMPLES", 1)
+    result = pop.measure(3, (64, 36), 8)
     assert result.kept == [True, False, True]
     assert result.largest("none") > 0.5  # of the lit floor's brightness
     assert result.largest("raster shadow maps") < 0.25 * result.largest("none")

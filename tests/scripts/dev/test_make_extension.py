@@ -1,5 +1,5 @@
 """The extension's zip: built, checked, installed into a fresh Blender that has none of its libraries, and used
-there."""
+there: the one place in all tests where every kernel is compiled, by two processes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,21 @@ from lipac.scripts.dev import make_extension
 OURS = ("numba", "llvmlite", "embreex", "opengl_decimate", "lipac", "__editable__")
 PYTHON = f"{sys.version_info[0]}{sys.version_info[1]}"
 
+# What a process compiles, of ours
+COMPILED = """
+from numba.core import event
+class Compiled(event.Listener):
+    def on_start(self, event):
+        function = event.data["dispatcher"].py_func
+        if function.__module__.startswith("bl_ext.user_default.lipac."):
+            compiled.add(function.__module__.rpartition(".")[2] + "." + function.__qualname__)
+    def on_end(self, event):
+        pass
+compiled = set()
+event.register("numba:compile", Compiled())
+"""
 USE = """
-import importlib, importlib.util, os, pkgutil, sys, bpy
+import importlib, importlib.util, os, pathlib, pkgutil, sys, bpy
 resources, path = sys.argv[1:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 print(bpy.ops.extensions.package_install_files(filepath=path, repo="user_default", enable_on_install=False))
@@ -35,7 +48,15 @@ scene.render.filepath = os.path.join(resources, "picture.png")
 def state():
     return {ob.name: (ob.hide_render, [m.name for m in ob.modifiers]) for ob in bpy.data.objects}
 before = state()
+COMPILED
 assert bpy.ops.lipac.analyze() == {"FINISHED"}
+# numba numbers a function's variants: had the second process, which compiles a part, other signatures than the kernel,
+# each could take the same number for another one
+files = {end: [str(path) for path in pathlib.Path(resources).rglob("*." + end)] for end in ("nbc", "nbi")}
+assert len(files["nbc"]) == len(files["nbi"]), {end: len(names) for end, names in files.items()}
+kernels = {os.path.basename(name).split("-")[0] for name in files["nbi"]}
+assert {"tile_kernel.trace_tiles", *SHARED} <= kernels, "no compiled kernel in the extension's user folder"
+assert part("core.threads").processors() == 1 or SHARED - compiled, "nothing was compiled by the second process"
 for name in ("numba", "embreex"):
     origin = importlib.util.find_spec(name).origin
     assert origin.startswith(resources), origin
@@ -56,12 +77,23 @@ for root in ("core", "page", "lipac_addon", "scripts"):  # all that can be impor
 extraction = part("lipac_addon.extract").Extractor(scene).frame(1, keep=False)
 hits = part("lipac_addon.raster.first_hits").TracedHits(extraction.scene).draw((64, 36)).hits
 assert (hits["instance"] >= 0).mean() > 0.5, "the zip's numba and Embree trace no rays"
-kernels = [name for _, _, names in os.walk(resources) for name in names if name.endswith(".nbi")]
-assert kernels, "no compiled kernel in the extension's user folder"
 print(bpy.ops.preferences.addon_disable(module="bl_ext.user_default.lipac"))
 assert not hasattr(bpy.types.Scene, "lipac")
 print("USED")
-"""
+""".replace("COMPILED", COMPILED)
+AGAIN = """
+import importlib, sys, bpy
+bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lipac")
+importlib.import_module("bl_ext.user_default.lipac.lipac_addon.demo.mirror_city").build(1000, 0)
+bpy.ops.preferences.addon_enable(module="bl_ext.user_default.lipac")
+COMPILED
+bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y = 64, 36
+bpy.context.scene.lipac.width = 64
+assert bpy.ops.lipac.analyze() == {"FINISHED"}
+print("AGAIN", *compiled)
+""".replace("COMPILED", COMPILED)
+# Of what `second_process` compiles
+SHARED = {"setup.bsdf_setup", "sample.bsdf_sample", "evaluate.bsdf_eval", "direct_light.add_direct_light"}
 
 
 @pytest.fixture(scope="module")
@@ -93,15 +125,22 @@ def test_a_fresh_blender_installs_and_uses_the_zip(extension: Path, tmp_path: Pa
     resources.mkdir()
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("LIPAC", "NUMBA"))}
     environment |= {"BLENDER_USER_RESOURCES": str(resources), "PYTHONPATH": str(bare_site(tmp_path / "site"))}
-    done = subprocess.run(
-        [sys.executable, "-S", "-c", USE, str(resources), str(extension)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=tmp_path,
-    )
+
+    def blender(code: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-S", "-c", f"SHARED = {SHARED}\n{code}", str(resources), str(extension)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=tmp_path,
+        )
+
+    done = blender(USE)
     assert "USED" in done.stdout, done.stdout + done.stderr
+    done = blender(AGAIN)
+    said = [line for line in done.stdout.splitlines() if line.startswith("AGAIN")]
+    assert said == ["AGAIN"], done.stdout + done.stderr  # nothing is compiled again
 
 
 @pytest.mark.parametrize("lost", ["numba-", "core/culling/loop.py", "docs/user-guide.html"])

@@ -1,4 +1,4 @@
-"""Eight frames of a small flythrough as a job, and the same shot done by one process."""
+"""Five frames of a small flythrough as a job, and the same shot done by one process."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from lipac.scripts.lipac import main
 
 FARM = [
     "--frames",
-    "1-8",
+    "1-5",
     "--resolution",
     "64x36",
     "--samples",

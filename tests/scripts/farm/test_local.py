@@ -18,7 +18,7 @@ from .same import assert_same_shot
 
 
 def command(scene: Path, folder: Path) -> list[str]:
-    fewer = ["--chunk", "5", "--verify", "1"]  # processes than on a farm
+    fewer = ["--verify", "1"]  # processes than on a farm
     return ["farm", str(scene), "-o", str(folder), "--for", "local", "--workers", "2", *FARM, *fewer]
 
 

@@ -63,7 +63,7 @@ def test_the_template_is_valid_and_says_what_is_needed(job: FarmShot) -> None:
 
 
 def test_chunks(job: FarmShot) -> None:
-    """As the command counts them: three, three and two frames."""
+    """As the command counts them: three and two frames."""
     done = openjd(
         "summary", job.folder / "template.json", "-p", f"file://{job.folder / 'parameters.json'}", "--output", "json"
     )
@@ -98,14 +98,14 @@ def test_killed_in_the_middle_and_run_again(job: FarmShot, one_process: FarmShot
     ]
     process = subprocess.Popen(run, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     limit = time.monotonic() + 200
-    while not job.picture(4).exists() and process.poll() is None and time.monotonic() < limit:
+    while not job.picture(2).exists() and process.poll() is None and time.monotonic() < limit:
         time.sleep(0.01)
     for pid in (process.pid, *descendants(process.pid)):
         os.kill(pid, signal.SIGKILL)
     process.wait()
-    assert job.picture(4).exists()
-    assert not job.picture(8).exists()
-    before = {path: path.stat().st_mtime_ns for path in (job.analysis(1), job.culled, job.picture(1), job.picture(3))}
+    assert job.picture(2).exists()
+    assert not job.picture(5).exists()
+    before = {path: path.stat().st_mtime_ns for path in (job.analysis(1), job.culled, job.picture(1), job.picture(2))}
     (job.folder / "pictures" / ".frame_0005.0123456789abcdef.part.png").write_bytes(b"half a picture")
     done = subprocess.run(run, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -113,5 +113,5 @@ def test_killed_in_the_middle_and_run_again(job: FarmShot, one_process: FarmShot
     assert_same_shot(job, one_process)
     certificate = read_json(job.folder / "certificate.json")
     assert certificate is not None
-    assert [frame["frame"] for frame in certificate["frames"]] == list(range(1, 9))
+    assert [frame["frame"] for frame in certificate["frames"]] == list(range(1, 6))
     assert (certificate["verified"], certificate["broken"]) == (2, 0)
