@@ -25,8 +25,8 @@ from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import MORE, STEEPEST, Certificate, Verdict
 from .levels.levelled import CULLING, PROPOSALS, Levelled, has_levels, levelled
-from .loop import Loop
-from .measurement import Measurement, Traced, evidence
+from .loop import Loop, all_stay
+from .measurement import DARKNESS, Measurement, Traced, evidence
 from .options import CullOptions
 from .policies import LIGHT_PATHS
 from .result import CullingResult
@@ -66,13 +66,12 @@ def decide(loop: Loop, progress: Progress = silent) -> CullingResult:
         loop.activation.activate_alone(keep)
         return loop.result(keep, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64))
     if scene.whole:
-        n = len(scene.instances)
-        loop.activation.activate_alone(loop.activation.exists)
-        hits = np.zeros((n, RAY_TYPES), np.int64)
-        return loop.result(loop.activation.exists, np.zeros(n, np.float32), hits, (scene.whole,))
+        return all_stay(loop, scene.whole)
     measured = loop.run(part(progress, 0.0, 0.7, "light paths ask for geometry, "))
     if options.min_share is not None:
         return by_counts(loop, measured, options.min_share)
+    if measured.is_dark and not (options.memory or scene.first_hits):
+        return all_stay(loop, DARKNESS)
     within = part(progress, 0.7, 1.0, "calibrating, ")
     if options.memory and scene.render_costs is not None:
         return by_memory(loop, measured, options.max_error, options.memory, within)

@@ -25,7 +25,7 @@ from ..feedback.tiles import TILES, marks, tile_means
 from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
-from ..scene.model import Scene
+from ..scene.model import RAY_TYPES, Scene
 from ..scene.twins import Twins
 from ..threads import limit
 from ..tracing.seen_emitters import NONE_SEEN, SeenEmitters
@@ -239,6 +239,14 @@ class Loop:
         built = Built(self.blas, tlas, self.tracer.prepared)
         result = CullingResult(state, score, hits, cut.bounds, stats, warnings, built=built)
         return self.division.joined(result) if self.division else result
+
+
+def all_stay(loop: Loop, why: str) -> CullingResult:
+    """The result where nothing is culled, with a warning that says why."""
+    n = len(loop.activation)
+    loop.activation.activate_alone(loop.activation.exists)
+    hits = np.zeros((n, RAY_TYPES), np.int64)
+    return loop.result(loop.activation.exists, np.zeros(n, np.float32), hits, (why,))
 
 
 def mean_luminance(picture: F32) -> float:

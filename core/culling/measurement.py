@@ -28,6 +28,10 @@ class Traced:
     samples: I64
 
 
+LIT = 100  # paths that bring light: fewer tell a picture's brightness to no better than a tenth
+DARKNESS = "next to no light path brings light to the picture: all stays, for no change is small beside nothing"
+
+
 @dataclass(frozen=True)
 class Measurement:
     """A trace of the active set alone. feedback, weights: of all its paths. traced: first those of the whole picture,
@@ -43,6 +47,13 @@ class Measurement:
     def log(self) -> PathLog:
         """Of the paths of the whole picture."""
         return self.traced[0].log
+
+    @property
+    def is_dark(self) -> bool:
+        """Whether so few paths of the whole picture bring light that nobody knows how bright it is: then what opens to
+        the light by culling may be any share of that."""
+        lit = np.count_nonzero(self.log.color.any(axis=-1))
+        return lit < min(LIT, self.log.color[..., 0].size // 10)
 
     @property
     def next_sample(self) -> int:

@@ -8,7 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from lipac.core.culling.measurement import Measurement, evidence, likely_missed
+from lipac.core.culling.analysis import analyze
+from lipac.core.culling.measurement import DARKNESS, Measurement, evidence, likely_missed
+from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.feedback.tiles import TILES
 from lipac.core.scene import model as s
@@ -72,3 +74,15 @@ def test_how_many_are_missed_is_no_overestimate_and_right_where_all_are_alike() 
     unlike = [likely_missed(rng.poisson(rng.choice([0.5, 8.0], 400))) for _ in range(200)]
     truth = 200 * (np.exp(-0.5) + np.exp(-8.0))
     assert np.mean(unlike) < truth
+
+
+def test_nothing_goes_from_a_picture_without_light() -> None:
+    """The camera is inside a box, in another one, and the sky is outside. To a black picture any light that culling
+    lets in is infinitely much."""
+    around, outside = scenes.placed((0, -4, 0), 2.0), scenes.placed((0, 0, 0), 20.0)
+    camera = scenes.look_at((0, -4, 0), (0, 0, 0))
+    for boxes, warned in (([around, outside], True), ([scenes.placed((0, 0, 0), 1.0)], False)):
+        scene = scenes.build([scenes.cube()], [(0, box, 0) for box in boxes], camera=camera)
+        result = analyze(scene, CullOptions(width=64))
+        assert result.active.all()
+        assert (result.warnings == (DARKNESS,)) == warned
