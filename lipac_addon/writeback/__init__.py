@@ -6,7 +6,7 @@
 - a mask modifier on geometry-nodes hosts, which removes single instances;
 - the render switch of particle systems, as a whole;
 - a face modifier on objects of which parts are culled;
-- meshes that are exchanged for simplified ones, and fewer render levels of subdivision;
+- meshes that are exchanged for simplified ones, fewer render levels of subdivision, curves with fewer points;
 - and where asked to, objects that only culled instances show are emptied, so that their images, meshes and modifiers
   cost nothing.
 
@@ -99,7 +99,7 @@ def apply(
     shows; not together with places, by which what is culled may come back.
     faces: by the full name of an object, (F,) bool, those faces of its mesh that stay, behind all its modifiers; of
     other objects all do. levels: by the full name of an object, what takes the place of its mesh, which the viewport
-    shows, too, but for fewer levels of subdivision.
+    shows, too, but for fewer levels of subdivision and points of curves.
     What an earlier call did is taken back first, so calling twice is as calling once. All or nothing: where something
     fails, what was done is taken back. Raises ValueError where the lengths differ.
     """
@@ -152,7 +152,7 @@ def _write(plan: Plan, places: dict[str, F32], in_render: bool, scene: bpy.types
     simplified = [(ob, level) for ob, level in plan.levels if isinstance(level, Level)]
     coarser = list(coarser_settings(plan.levels, scene))
     exchanged = ((ob, marks.SIMPLIFIED) for ob, _ in simplified)
-    lowered = ((ob, marks.coarser(modifier, levels)) for ob, modifier, levels in coarser)
+    lowered = ((ob, marks.coarser(setting, value)) for ob, setting, value in coarser)
     masked = ((host, marks.MASKED) for host, _ in (*plan.masks, *plan.faces))
     marks.write([*hidden, *off, *exchanged, *lowered, *masked, *emptied])
     marks.set_hidden(list(plan.objects), True, in_render)
@@ -163,6 +163,6 @@ def _write(plan: Plan, places: dict[str, F32], in_render: bool, scene: bpy.types
     for ob, gone in plan.faces:
         face_mask.add(ob, gone)
     emptying.empty(plan.sources)
-    for _, modifier, count in coarser:
-        modifier.render_levels = count
+    for _, setting, value in coarser:
+        setting.set(value)
     simplify(simplified)

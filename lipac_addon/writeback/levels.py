@@ -1,5 +1,5 @@
-"""Simplified meshes: objects get other data, made of corners of what they had, with all that these bear; and fewer
-render levels of subdivision.
+"""Simplified meshes: objects get other data, made of corners of what they had, with all that these bear; and settings
+of objects by which renders have fewer triangles.
 
 A level is a copy of the mesh with fewer faces: materials and properties stay, attributes of points, corners and faces
 are those of the whole mesh, vertex groups too where an armature goes by them. Normals are kept as custom ones. What the
@@ -67,12 +67,12 @@ def levels_of(extraction: Extraction, result: CullingResult) -> dict[str, AnyLev
 
 def coarser_settings(
     levels: Iterable[tuple[bpy.types.Object, AnyLevel]], scene: bpy.types.Scene
-) -> Iterator[tuple[bpy.types.Object, bpy.types.Modifier, int]]:
-    """Objects that are subdivided less in renders of a scene, the modifiers, and the levels that they are to have."""
+) -> Iterator[tuple[bpy.types.Object, Setting, int]]:
+    """Objects that have fewer triangles in renders of a scene, by what setting, and what that is to be."""
     for ob, level in levels:
         setting = setting_of(ob, scene)
         if isinstance(setting, Setting) and isinstance(level, Steps):
-            yield ob, setting.modifier, setting.values[level.steps - 1]
+            yield ob, setting, setting.values[level.steps - 1]
 
 
 def simplify(levels: Iterable[tuple[bpy.types.Object, Level]]) -> None:

@@ -7,8 +7,9 @@ marks of these are on an object of our own, which points to them.
 A mark is a list of words: `HIDDEN` for the object's own switch, `PARTICLES` and a number for the render switch of the
 modifier with that persistent number, `MASKED` for a mask modifier, `EMPTIED` for a source that shows nothing
 (`emptying`), `MODIFIER` and a number for its modifiers, `SIMPLIFIED` for one whose mesh is exchanged (`levels`). All
-switches were on before, else they are not touched, so the old value needs no storing. Render levels of a modifier are
-marked by `COARSER`, its number, what they were, and what they are. A word that fits nothing does nothing.
+switches were on before, else they are not touched, so the old value needs no storing. Settings by which a render has
+fewer triangles (`coarsening`) are marked by `COARSER`, the number of the modifier or `DATA`, what they were, and what
+they are. A word that fits nothing does nothing.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import bpy
 import numpy as np
 
-from ..coarsening import SUBDIVIDES
+from ..coarsening import RENDERED, SUBDIVIDES, Setting
 
 KEY = "lipac_writeback"
 HIDDEN = "hide_render"
@@ -29,7 +31,7 @@ MASKED = "masked"
 EMPTIED = "emptied"
 SIMPLIFIED = "simplified"
 MODIFIER = "modifier:"
-COARSER = "coarser:"
+COARSER, DATA = "coarser:", "data"
 _NUMBERED = (PARTICLES, MODIFIER, COARSER)
 _WORDS = {HIDDEN, MASKED, EMPTIED, SIMPLIFIED}
 _RECORD = "overrides"  # the mark of the object that bears those of library overrides; also the name of its list
@@ -86,17 +88,17 @@ def particles(modifier: bpy.types.Modifier) -> str:
     return f"{PARTICLES}{modifier.persistent_uid}"
 
 
-def coarser(modifier: bpy.types.Modifier, levels: int) -> str:
-    """The word for a modifier whose render levels are about to be so many."""
-    return f"{COARSER}{modifier.persistent_uid}:{modifier.render_levels}:{levels}"
+def coarser(setting: Setting, value: int) -> str:
+    """The word for a setting that is about to have another value."""
+    return f"{COARSER}{getattr(setting.owner, 'persistent_uid', DATA)}:{setting.now}:{value}"
 
 
-def _refine(modifier: bpy.types.Modifier, words: Iterable[str]) -> None:
-    """Put back the render levels of a modifier that a word speaks of."""
+def _refine(owner: Any, name: str, number: str, words: Iterable[str]) -> None:
+    """Put back the property of a modifier, or of data, that a word speaks of by its number."""
     for word in words:
-        found = re.fullmatch(rf"{COARSER}{modifier.persistent_uid}:(\d{{1,3}}):(\d{{1,3}})", word)
-        if found and modifier.render_levels == int(found[2]):
-            modifier.render_levels = int(found[1])
+        found = re.fullmatch(rf"{COARSER}{number}:(\d{{1,3}}):(\d{{1,3}})", word)
+        if found and getattr(owner, name) == int(found[2]):
+            setattr(owner, name, int(found[1]))
 
 
 def take_back(in_render: bool = False) -> bool:
@@ -111,7 +113,9 @@ def take_back(in_render: bool = False) -> bool:
             if own.intersection(words):
                 modifier.show_render = True
             if modifier.type in SUBDIVIDES:
-                _refine(modifier, words)
+                _refine(modifier, RENDERED["modifier"], str(modifier.persistent_uid), words)
+        if hasattr(ob.data, RENDERED["data"]):
+            _refine(ob.data, RENDERED["data"], DATA, words)
     set_hidden([ob for ob, words in found.items() if HIDDEN in words], False, in_render)
     for ob in found:
         if KEY in ob:

@@ -7,6 +7,8 @@ from functools import cached_property
 
 import bpy
 
+from ..coarsening import RENDERED
+
 _KINDS = {"OBJECT", "COLLECTION", "NODETREE", "PARTICLE"}
 _DUPLI = {"VERTS", "FACES"}
 _SHOWN_BY_PARTICLES = {"OBJECT", "COLLECTION"}
@@ -18,7 +20,7 @@ _HARMLESS = (
     bpy.types.Scene, bpy.types.Collection, bpy.types.Camera, bpy.types.Material, bpy.types.World, bpy.types.Light,
     bpy.types.Action
 )
-_SWITCHES = {"hide_render", "show_render", "render_levels"}
+_SWITCHES = {"hide_render", "show_render", *RENDERED.values()}
 
 
 class References:

@@ -51,10 +51,11 @@ class EvaluatedCoarser:
         return {number: found for number, found in out.items() if found}
 
     def kept(self, shown: NDArray[np.integer]) -> list[str]:
-        """Of meshes that are shown, any shape, which keep their levels of subdivision, and why: lines for the user."""
+        """Of meshes that are shown, any shape, which keep their levels of subdivision or the resolution of a curve, and
+        why: lines for the user."""
         sources = (self._sources[number] for number in np.unique(shown).tolist())
         why = Counter(source.fixed for source in sources if source is not None and source.fixed)
-        return [f"{count:,} meshes keep their levels of subdivision: {reason}" for reason, count in why.items()]
+        return [f"{count:,} meshes keep their subdivision or resolution: {reason}" for reason, count in why.items()]
 
     def at(self, steps: Mapping[int, int]) -> Mapping[int, Mesh]:
         """As `CoarserMeshes`."""
@@ -66,7 +67,7 @@ class EvaluatedCoarser:
                 ob = None if source is None else bpy.data.objects.get((source.owner, None))
                 setting = "" if ob is None else setting_of(ob, self._scene)
                 if ob is not None and isinstance(setting, Setting) and len(setting.values) >= step:
-                    stack.enter_context(changed(setting.modifier, render_levels=setting.values[step - 1]))
+                    stack.enter_context(changed(setting.owner, **{setting.name: setting.values[step - 1]}))
                     objects[number] = ob
             return with_render_depsgraph(self._scene, None, partial(self._evaluated, objects), self._layer)
 

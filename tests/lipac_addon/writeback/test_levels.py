@@ -287,3 +287,24 @@ def test_linked_objects_keep_their_levels(fine: bpy.types.Object, tmp_path: Path
     other, _ = linked(tmp_path, "Fine", bpy.context.scene.camera.name)
     assert apply({full_name(other): Steps(1)}).whole == {LINKED: 1}
     assert other.modifiers["Subdivision"].render_levels == 4
+
+
+def test_the_resolution_of_a_curve_is_put_back(
+    new_file: bpy.types.Scene, snapshot: Callable[[], dict], tmp_path: Path
+) -> None:
+    bpy.ops.curve.primitive_bezier_circle_add()
+    ob = bpy.context.object
+    ob.name, ob.data.bevel_depth = "Ring", 0.1
+    bpy.context.view_layer.update()
+    before = snapshot()
+    assert apply({"Ring": Steps(2)}).simplified == 1
+    assert (ob.data.resolution_u, ob.data.render_resolution_u) == (12, 3)
+    writeback.restore()
+    assert snapshot() == before and ob.data.render_resolution_u == 0
+    apply({"Ring": Steps(1)})
+    bpy.ops.wm.save_as_mainfile(filepath=f"{tmp_path}/ring.blend")
+    bpy.ops.wm.open_mainfile(filepath=f"{tmp_path}/ring.blend")
+    ob = bpy.data.objects["Ring"]
+    assert ob.data.render_resolution_u == 6
+    writeback.restore()
+    assert ob.data.render_resolution_u == 0 and not ob.keys()

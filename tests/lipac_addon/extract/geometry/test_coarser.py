@@ -131,3 +131,34 @@ def test_what_keeps_its_levels(ball: bpy.types.Object) -> None:
     assert steps_of(ball) == 0
     ball.is_holdout = False
     assert steps_of(ball) == 2
+
+
+@pytest.mark.parametrize("kind", ["CURVE", "FONT"])
+def test_curves_and_text(new_file: bpy.types.Scene, kind: str) -> None:  # noqa: F811
+    """By half, a quarter and an eighth of their points, as Blender renders them."""
+    if kind == "CURVE":
+        bpy.ops.curve.primitive_bezier_circle_add()
+        bpy.context.object.data.bevel_depth = 0.1
+    else:
+        bpy.ops.object.text_add()
+        bpy.context.object.data.extrude = 0.1
+    ob, data = bpy.context.object, bpy.context.object.data
+    data.resolution_u = 12
+    assert data.render_resolution_u == 0
+    extraction = extract_frame(bpy.context.scene)
+    number, coarser = row_of(extraction, ob), extraction.scene.coarser
+    assert coarser is not None
+    found = coarser.read([number])[number]
+    assert data.render_resolution_u == 0
+    sizes = [len(extraction.scene.meshes[number].triangles), *(len(mesh.triangles) for mesh in found)]
+    assert len(sizes) == 4 and sizes == sorted(set(sizes), reverse=True)
+    data.render_resolution_u = 6
+    again = extract_frame(bpy.context.scene)
+    assert same(found[0], again.scene.meshes[row_of(again, ob)])
+    assert steps_of(ob) == 2
+    data.keyframe_insert("render_resolution_u", frame=1)
+    assert steps_of(ob) == 0
+    data.animation_data_clear()
+    other = ob.copy()
+    bpy.context.scene.collection.objects.link(other)
+    assert steps_of(ob) == 0
