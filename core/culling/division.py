@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from ..accel.region_tree import spatial_order
 from ..arrays import F32, I32, I64
-from ..scene.bounds import enclosing, triangle_boxes
+from ..scene.bounds import enclosing, triangle_boxes, world_bounds
 from ..scene.mesh import DIVIDED_FROM, Mesh, MeshSequence
-from ..scene.model import InstanceFlag, Instances, Scene, world_bounds
+from ..scene.model import InstanceFlag, Instances, Scene
 from ..scene.render_costs import RenderCosts
 from ..tracing.lights.lights import emissive_instances
 from .options import CullOptions, State

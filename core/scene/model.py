@@ -378,24 +378,3 @@ def default_material() -> Records:
             m[name] = NO_TEXTURE
     m["mis_emission"] = m["sure"] = 1
     return m
-
-
-def world_bounds(transform: F32, mesh_bounds: F32, mesh: I32) -> F32:
-    """World boxes of instances: the transformed box of each mesh.
-
-    transform (N, 3, 4) float32, mesh_bounds (M, 2, 3) float32, mesh (N,) int32 -> (N, 2, 3) float32, rounded outward to
-    enclose the exact box.
-    (Arvo, "Transforming axis-aligned bounding boxes", Graphics Gems, 1990.)
-    """
-    center = (mesh_bounds[:, 0].astype(np.float64) + mesh_bounds[:, 1]) * 0.5
-    half = (mesh_bounds[:, 1].astype(np.float64) - mesh_bounds[:, 0]) * 0.5
-    out = np.empty((len(mesh), 2, 3), np.float32)
-    step = 1 << 17  # float64 temporaries of one block, not of a million instances
-    for a in range(0, len(mesh), step):
-        m = mesh[a : a + step]
-        linear = transform[a : a + step, :, :3].astype(np.float64)
-        c = np.einsum("nij,nj->ni", linear, center[m]) + transform[a : a + step, :, 3]
-        h = np.einsum("nij,nj->ni", np.abs(linear), half[m])
-        out[a : a + step, 0] = np.nextafter((c - h).astype(np.float32), np.float32(-np.inf))
-        out[a : a + step, 1] = np.nextafter((c + h).astype(np.float32), np.float32(np.inf))
-    return out

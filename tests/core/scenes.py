@@ -7,6 +7,7 @@ import numpy as np
 from lipac.core.accel.blas import BlasCache
 from lipac.core.accel.tlas import Tlas
 from lipac.core.scene import model as s
+from lipac.core.scene.bounds import world_bounds
 from lipac.core.scene.film import Picture
 from lipac.core.tracing.tracer import prepare, trace
 
@@ -100,7 +101,7 @@ def build(
         mesh,
         np.array([p[2] for p in placement], np.int32),
         np.full(len(mesh), s.ALL_RAYS, np.uint8) if flags is None else flags,
-        s.world_bounds(transform, mesh_bounds, mesh),
+        world_bounds(transform, mesh_bounds, mesh),
     )
     records = np.array([s.default_material()] if materials is None else materials, s.MATERIAL)
     return s.Scene(

@@ -12,6 +12,7 @@ from lipac.core.culling.analysis import analyze
 from lipac.core.culling.options import CullOptions
 from lipac.core.feedback.hits import Feedback
 from lipac.core.scene import model as s
+from lipac.core.scene.bounds import world_bounds
 
 from ..core import scenes
 from ..core.scenes import lamp, material, render
@@ -202,7 +203,7 @@ def nothing_in_a_mesh() -> Iterator[Figure]:
         mesh=mesh,
         slots=np.append(scene.instances.slots, two).astype(np.int32),
         flags=np.full(4, s.ALL_RAYS, np.uint8),
-        bounds=s.world_bounds(transform, bounds, mesh),
+        bounds=world_bounds(transform, bounds, mesh),
     )
     with_empty = dataclasses.replace(
         scene, meshes=[ball, scenes.quad(), empty, loose], mesh_bounds=bounds, instances=instances

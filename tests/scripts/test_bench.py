@@ -12,8 +12,9 @@ import pytest
 from lipac.core.accel.blas import BlasCache
 from lipac.core.accel.embree import lib
 from lipac.core.accel.tlas import Tlas
+from lipac.core.scene.bounds import world_bounds
 from lipac.core.scene.mesh import Mesh
-from lipac.core.scene.model import RAY_TYPES, Instances, world_bounds
+from lipac.core.scene.model import RAY_TYPES, Instances
 from lipac.scripts import bench
 from lipac.scripts.studies import bench_tracing, compare
 

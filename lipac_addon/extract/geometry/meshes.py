@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....core.accel.triangulation import corners_of_faces, vertex_normals
 from ....core.arrays import F32, F64, U32
-from ....core.scene.mesh import Mesh, MeshSequence, corners_of_faces, vertex_normals
+from ....core.scene.mesh import Mesh, MeshSequence
 from ....core.scene.placing import LARGEST
 from ...attributes import NAME, PLACE, colors_of, places, places_in_pattern
 from ..materials.displacement import Relief, shells

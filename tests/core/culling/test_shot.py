@@ -20,6 +20,7 @@ from lipac.core.culling.result import CullingResult
 from lipac.core.culling.shot import Shot
 from lipac.core.error_budget.budget import Budget
 from lipac.core.scene import model as s
+from lipac.core.scene.bounds import world_bounds
 from lipac.core.scene.change import Change
 
 from .. import scenes
@@ -160,7 +161,7 @@ def test_other_triangles_in_a_mesh_are_seen() -> None:
     cubes = [*first.meshes[:2], *[scenes.cube()] * POLES]
     bounds = np.stack([np.stack([m.positions.min(axis=0), m.positions.max(axis=0)]) for m in cubes]).astype(np.float32)
     instances = dataclasses.replace(
-        first.instances, bounds=s.world_bounds(first.instances.transform, bounds, first.instances.mesh)
+        first.instances, bounds=world_bounds(first.instances.transform, bounds, first.instances.mesh)
     )
     second = dataclasses.replace(first, meshes=cubes, mesh_bounds=bounds, instances=instances)
     change = all_deform()

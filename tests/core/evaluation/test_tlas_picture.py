@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lipac.core.evaluation.tlas_picture import ACTIVE, HITBOX, PAPER, Viewpoint, render, tlas_picture
+from lipac.core.scene.bounds import world_bounds
 from lipac.core.scene.mesh import Mesh
 from lipac.core.scene.model import (
     ALL_RAYS,
@@ -16,7 +17,6 @@ from lipac.core.scene.model import (
     Scene,
     World,
     default_material,
-    world_bounds,
 )
 
 
