@@ -18,6 +18,7 @@ from ...core.scene.model import Camera, InstanceFlag
 from ...core.scene.placing import compose_rows, local_reach
 from ..keys import MAX_DEPTH, Kind
 from .geometry.geometry_sets import Geometry
+from .geometry.simplify import Simplify
 from .graph import GraphReader
 from .graph_items import Members, Node
 from .lights import Lamp
@@ -52,6 +53,7 @@ class Placer:
         self.reader, self.meshes = reader, reader.geometry.meshes
         self.origin = origin
         self.limit = np.inf if camera is None else local_reach(camera)
+        self._simplify = Simplify.of(reader.depsgraph.scene_eval, camera)
         self._before = before if before is not None and np.array_equal(before.origin, origin) else None
         self._known = {block.key: block for block in before.blocks} if before is not None else {}
         self._latest: dict[int, int] = {}
@@ -118,7 +120,7 @@ class Placer:
         return True
 
     def _is_still(self, known: Block, of: tuple[str, ...], nodes: Sequence[Node]) -> bool:
-        if self._before is None or known.of != of or known.reach > self.limit:
+        if self._before is None or known.of != of or known.reach > self.limit or self._simplify is not None:
             return False
         if not all(self.meshes.keeps_place(mesh) for mesh, _ in known.pairs):
             return False
@@ -145,6 +147,10 @@ class Placer:
             at = Placements(
                 world[members], int(Kind.OBJECT), -1, visible[members].astype(np.uint8), marks[members].astype(np.uint8)
             )
+            if self._simplify is not None:
+                box = self.meshes.source(mesh).bounds
+                gone = [self._simplify.gone(shown[k].item, box, world[k : k + 1])[0] for k in members]
+                at = replace(at, visible=np.where(gone, 0, at.visible))
             self._output.emit(self.block, mesh, slots[members], names[members], VISIBLE, 0, at)
         self.block.count = self._output.count - self.block.first
 
@@ -171,7 +177,7 @@ class Placer:
                 node.geometry.offset,
                 node.marks & int(InstanceFlag.SHADOW_CATCHER),
             )
-            self._output.emit(self.block, mesh, offset, node.name, node.visible, marks, at)
+            self._output.emit(self.block, mesh, offset, node.name, node.visible, marks, self._there(node, mesh, at))
 
     def _instances_of(self, hosts: Sequence[tuple[Node, Placements]], stack: tuple[int, ...], depth: int) -> None:
         """What objects instance, for objects placed at the same depth. Those of one collection are taken together."""
@@ -228,8 +234,16 @@ class Placer:
                     self._collection(target, compose(child.transform, target.offset), child, stack)
                 else:
                     if target.mesh >= 0:
-                        self._output.emit(self.block, target.mesh, target.offset, owner.name, VISIBLE, 0, child)
+                        there = self._there(owner, target.mesh, child)
+                        self._output.emit(self.block, target.mesh, target.offset, owner.name, VISIBLE, 0, there)
                     self._geometry_instances(target, owner, child, stack)
+
+    def _there(self, node: Node, mesh: int, at: Placements) -> Placements:
+        """Placements of a mesh of an object, of which those that Cycles leaves out are invisible."""
+        if self._simplify is None:
+            return at
+        gone = self._simplify.gone(node.item, self.meshes.source(mesh).bounds, at.transform)
+        return replace(at, visible=np.where(gone, 0, at.visible)) if gone.any() else at
 
     def _lamp(self, node: Node, at: Placements) -> None:
         assert node.lamp is not None

@@ -14,50 +14,57 @@ from ...core.scene.model import LIGHT, AreaShape, LightKind
 from ...core.scene.placing import usable_transforms
 from .materials.ranges import most_of
 
+GROWTH = {"Quadratic": 0, "Linear": 1, "Constant": 2}  # of outputs of Light Falloff, against that of light
 KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT, "AREA": LightKind.AREA}
 
 
-def _node_strength(light: Any, report: Callable[[str], None], most: bool) -> tuple[np.ndarray[Any, Any], bool]:
+def _node_strength(light: Any, report: Callable[[str], None], most: bool) -> tuple[np.ndarray[Any, Any], bool, int]:
     """(3,) factor by the light's node tree: colour times strength of its Emission node, and whether that is but the
-    most that it may be, for they are not constant; of a Light Falloff, its strength.
+    most that it may be, for they are not constant; of a Light Falloff, its strength, and the power of the distance by
+    which it grows.
 
     most: as of `MaterialTable`; else 1 stands for what is not constant.
     """
     if light.node_tree is None:
-        return np.ones(3), False
+        return np.ones(3), False, 0
     inlined = light.inline_shader_nodes()
     output = inlined.node_tree.get_output_node("CYCLES")
     if output is None or not output.inputs["Surface"].is_linked:
-        return np.ones(3) if output is None else np.zeros(3), False
+        return np.ones(3) if output is None else np.zeros(3), False, 0
     node = output.inputs["Surface"].links[0].from_node
     if node.type != "EMISSION":
         report(f"light {light.name}: node {node.name!r} is not rendered")
-        return np.ones(3), True
-    factor, unsure = np.ones(3), False
+        return np.ones(3), True, 0
+    factor, unsure, growth = np.ones(3), False, 0
     for name in ("Color", "Strength"):
         socket = node.inputs[name]
         if socket.is_linked:
             report(f"light {light.name}: {name.lower()} by nodes is not rendered")
             source = socket.links[0].from_node
             unsure = True
-            if source.type == "LIGHT_FALLOFF" and not source.inputs["Strength"].is_linked:
-                factor = factor * source.inputs["Strength"].default_value
-            elif most and source.type != "LIGHT_FALLOFF":
+            if source.type == "LIGHT_FALLOFF":
+                strength = source.inputs["Strength"]
+                if most or not strength.is_linked:
+                    factor = factor * (max(most_of(strength), 0.0) if strength.is_linked else strength.default_value)
+                growth = max(growth, GROWTH[socket.links[0].from_socket.name] * most)
+            elif most:
                 factor = factor * max(most_of(socket), 0.0)
         else:
             value = socket.default_value
             factor = factor * (np.array(value[:3]) if name == "Color" else value)
-    return factor, unsure
+    return factor, unsure, growth
 
 
 @dataclass(frozen=True)
 class LampData:
     """A light object's data. record: of LIGHT as bytes, without what depends on the place, one or more that shine
-    together; lines: what is rendered differently."""
+    together; lines: what is rendered differently; growth: the power of the distance by which it is brighter than it
+    would be."""
 
     name: str
     record: bytes
     lines: tuple[str, ...]
+    growth: int = 0
 
 
 @dataclass
@@ -82,7 +89,7 @@ def read_lamp(item: Any, most: bool = True) -> LampData | None:
     if light.type == "AREA" and light.cycles.is_portal:
         return None
     lines: list[str] = []
-    record = _template(light, lines.append, most)
+    record, growth = _template(light, lines.append, most)
     if item.light_linking.receiver_collection is not None:
         lines.append(f"light {light.name}: light linking not rendered: everything is lit")
         record["unsure"] |= 1
@@ -93,17 +100,17 @@ def read_lamp(item: Any, most: bool = True) -> LampData | None:
         record["cast_shadow"], record["unsure"] = (0, 1), record["unsure"] | 1
     if not most:
         record["unsure"] = 0
-    return LampData(light.name, record.tobytes(), tuple(lines))
+    return LampData(light.name, record.tobytes(), tuple(lines), growth)
 
 
-def _template(light: Any, report: Callable[[str], None], most: bool) -> Records:
-    """What does not depend on the transform, as a record of shape (1,)."""
+def _template(light: Any, report: Callable[[str], None], most: bool) -> tuple[Records, int]:
+    """What does not depend on the transform, as a record of shape (1,), and the growth as of `LampData`."""
     r = np.zeros(1, LIGHT)
     r["kind"] = KINDS[light.type]
     power = np.array(light.color, np.float64) * light.energy * 2.0**light.exposure
     if light.use_temperature:
         power *= np.array(light.temperature_color)[:3]
-    strength, r["unsure"] = _node_strength(light, report, most)
+    strength, r["unsure"], growth = _node_strength(light, report, most)
     r["power"] = power * strength
     if most and (r["power"] < 0).any():
         r["power"] = np.abs(r["power"])
@@ -123,12 +130,15 @@ def _template(light: Any, report: Callable[[str], None], most: bool) -> Records:
         r["shape"] = AreaShape.ELLIPSE if light.shape in {"DISK", "ELLIPSE"} else AreaShape.RECTANGLE
         r["size"] = light.size, light.size_y if light.shape in {"RECTANGLE", "ELLIPSE"} else light.size
         r["spread"] = light.spread
-    return r
+    return r, 0 if light.type == "SUN" else growth
 
 
-def place_lamps(lamps: Sequence[Lamp], report: Callable[[str], object], warn: Callable[[str], object]) -> Records:
+def place_lamps(
+    lamps: Sequence[Lamp], report: Callable[[str], object], warn: Callable[[str], object], box: F64
+) -> Records:
     """(L,) of LIGHT for all placed lights. Axes are normalised; the scale of the object goes into the size of area
-    lights, as in Cycles."""
+    lights, as in Cycles. Those that fall off by less than light does are as bright as they are at the farthest corner
+    of box, (2, 3) of all that there is, in the coordinates of the lamps."""
     parts = []
     for lamp in lamps:
         for line in lamp.data.lines:
@@ -145,6 +155,9 @@ def place_lamps(lamps: Sequence[Lamp], report: Callable[[str], object], warn: Ca
         for k, axis in enumerate(("axis_x", "axis_y", "axis_z")):
             records[axis] = transform[:, :, k] / lengths[:, k : k + 1]
         records["position"] = transform[:, :, 3]
+        if lamp.data.growth:
+            reach = np.linalg.norm(np.abs(transform[:, None, :, 3] - box).max(axis=1), axis=1)
+            records["power"] *= np.maximum(reach, 1.0)[:, None] ** lamp.data.growth
         records["size"] *= lengths[:, :2]
         records["visibility"] = (
             lamp.visible if isinstance(lamp.visible, int) else np.tile(np.asarray(lamp.visible)[good], len(record))

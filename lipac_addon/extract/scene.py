@@ -32,6 +32,7 @@ from .graph_items import Node, linked_materials
 from .instances import Placed, Placer
 from .lights import place_lamps
 from .materials.displacement import Relief
+from .materials.reader import WORTHLESS
 from .materials.shaders import PORTAL
 from .shading import Shading, ShadingReader, linked_emission, same_array, with_parts
 from .shutter import Shutter, same_camera
@@ -207,6 +208,7 @@ class SceneReader:
                 "the scene has no light: no lamp, no emitting material, a black world; it renders black",
             )
         approximated = dict.fromkeys((*scene.approximated, *world.approximated))
+        warnings = (*warnings, *(line for line in approximated if self.most and line.endswith(WORTHLESS)))
         scene = replace(scene, world=world.world, approximated=tuple(approximated))
         change = None
         if self._placed is not None and self._last is not None:
@@ -223,7 +225,11 @@ class SceneReader:
     @staticmethod
     def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, None]) -> Records:
         lamps = [lamp for block in placed.blocks for lamp in block.lamps]
-        return place_lamps(lamps, approximated.setdefault, warnings.setdefault)
+        box = np.zeros((2, 3))
+        if any(lamp.data.growth for lamp in lamps):
+            bounds = placed.rows.bounds
+            box = np.stack((bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0))).astype(np.float64)
+        return place_lamps(lamps, approximated.setdefault, warnings.setdefault, box)
 
     def _reliefs(self, shading: Shading, nodes: Sequence[Node]) -> dict[int, Relief]:
         """How meshes are displaced, by index, whatever materials they are placed with. nodes: objects at the top, whose

@@ -21,6 +21,7 @@ from ...core.arrays import F32
 from ...core.errors import InputError
 from ...core.scene.model import ALL_RAYS, RayType, World
 from ..depsgraph import changed, no_new_images, own_slot, render_result, with_render_depsgraph
+from .materials.reader import WORTHLESS
 
 BAKE_HEIGHT = 512  # of worlds without an image
 MAX_HEIGHT = 2048
@@ -96,8 +97,7 @@ def _volume(world: Any) -> tuple[str, ...]:
     filled = output is not None and output.inputs["Volume"].is_linked
     return (
         (
-            f"world {world.name}: volume not rendered: what only lights it or throws shadows into it is taken to be "
-            "worth nothing",
+            f"world {world.name}: volume not rendered: what only lights it or throws shadows into it {WORTHLESS}",
         )
         if filled
         else ()

@@ -12,7 +12,7 @@ from ....core.arrays import Records
 from ....core.scene.model import Shader, Unsure, default_material
 from .arithmetic import Array
 from .ranges import glow_of, most_of, range_of
-from .reader import LUMINANCE, MEAN, Reader, Value, grey
+from .reader import LUMINANCE, MEAN, WORTHLESS, Reader, Value, grey
 from .textures import TextureTable
 from .trees import (
     UNKNOWN,
@@ -34,12 +34,10 @@ FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes
 
 
 def _sure(pixels: Array) -> float:
-    """What differs from place to place, and nobody knows where: to its mean, how bright a place surely is. As bright as
-    its dark parts; where these are much darker, half as bright, for there may be twice as many of them, before all that
-    lies on them. pixels: (H, W, 4), as much of each colour as there is on the whole."""
+    """What differs from place to place, and nobody knows where: to its mean, how bright a place surely is, that is, as
+    its dark parts. pixels: (H, W, 4), as much of each colour as there is on the whole."""
     bright = pixels[..., :3] @ LUMINANCE
-    share = min(float(np.quantile(bright, DARK)) / max(float(bright.mean()), 1e-6), 1.0)
-    return share * (1 + share) / 2
+    return min(float(np.quantile(bright, DARK)) / max(float(bright.mean()), 1e-6), 1.0)
 
 
 class Converter:
@@ -66,9 +64,11 @@ class Converter:
         """What an output node shows."""
         tree = self.surface(node.inputs["Surface"])
         if node.inputs["Volume"].is_linked:
-            self.report("volume not rendered")
+            alone = not node.inputs["Surface"].is_linked
+            lost = f": what only lights it or throws shadows into it {WORTHLESS}" if alone else ""
+            self.report(f"volume not rendered{lost}")
             glow = glow_of(node.inputs["Volume"]) if self.most else 0.0
-            if not node.inputs["Surface"].is_linked:
+            if alone:
                 return self._volume(glow)
             if glow > 0:
                 return mixed(black() if tree is None else tree, glowing(black(), 2 * glow))

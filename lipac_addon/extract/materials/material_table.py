@@ -32,6 +32,7 @@ from .trees import (
     Tree,
     black,
     clear,
+    half_sure,
     heads,
     key_of,
     leaves,
@@ -42,6 +43,9 @@ from .trees import (
     unsure,
 )
 
+# Where a pattern's dark parts are darker than so much of its mean, half of what it shows is sure: a tile may hold dark
+# parts alone, and with them twice as much of what lies on these as the pattern has there
+DARKER = 0.25
 LIGHT_LOOP = {
     "ShaderNodeLightAccumulation", "ShaderNodeLightEvaluation", "ShaderNodeLightInfo", "ShaderNodeShadowRaycast"
 }
@@ -114,6 +118,8 @@ class MaterialTable:
         if tree.get_output_node("CYCLES") is None:
             tree = material.node_tree  # only the active output is inlined, and that one may be EEVEE's
         out = convert_tree(tree, self.textures, report, self.most, lambda: _colors_of_objects(material.name_full))
+        if any(leaf["sure"] < DARKER for leaf in leaves(out)):
+            out = half_sure(out)
         if loops:  # the constants in its place may be shares of anything
             out = unsure(mixed(out, clear()), whether=True)
         relief = relief_of(tree) if material.displacement_method != "BUMP" and self.most else None

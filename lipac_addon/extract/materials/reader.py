@@ -22,6 +22,7 @@ from .textures import ImageUse, TextureTable
 
 LUMINANCE = np.array([0.2126729, 0.7151522, 0.0721750], np.float32)  # Rec.709
 ALPHA = 3
+WORTHLESS = "is taken to be worth nothing"  # ends lines that say what can be culled although the picture shows it
 TILES = {"TEX_CHECKER", "TEX_BRICK"}
 MEAN = 4  # the channel value that stands for luminance
 
@@ -213,5 +214,7 @@ class Reader:
 
     def _unknown(self, node: Any, socket: Any) -> Value:
         """Stand-in for an output that is not followed."""
+        if node.type == "AMBIENT_OCCLUSION" and not node.only_local:
+            self.report(f"{node.bl_label} not rendered: what only darkens it {WORTHLESS}")
         bounds = output_range(node, socket)
         return self._pattern(node, *bounds) if self.patterns and np.isfinite(bounds).all() else self.average(node, 0.5)

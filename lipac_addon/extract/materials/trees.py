@@ -120,11 +120,12 @@ def glowing_through(record: Records, share: float) -> Tree:
     return out
 
 
-def half_sure(record: Records) -> Tree:
+def half_sure(tree: Tree) -> Tree:
     """A surface that may send on less light than is thought: half of it counts as surely there."""
-    doubtful = record.copy()
-    mark(doubtful, Unsure.LIGHT)
-    return mixed(record, doubtful)
+    doubtful = copied(tree)
+    for leaf in leaves(doubtful):
+        mark(leaf, Unsure.LIGHT)
+    return mixed(tree, doubtful)
 
 
 def glowing(record: Records, radiance: float) -> Records:

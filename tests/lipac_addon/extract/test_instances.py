@@ -490,3 +490,42 @@ def test_whose_faces_may_be_culled_by_themselves(why: str) -> None:
     assert (mesh.faces is not None) == (why == "")
     if mesh.faces is not None:
         assert np.array_equal(np.bincount(mesh.faces), np.full(70 * 70, 2))
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_what_simplify_leaves_out_is_not_there(far: bool) -> None:
+    """Cycles' own culling, of objects and instances that ask for it: beside the picture or far away, with both only
+    where both say so."""
+    scene, mesh = bpy.context.scene, cube("shared", 0.5)
+    scene.camera.location, scene.camera.rotation_euler = (0, 0, 0), (np.pi / 2, 0, 0)  # along +Y
+    places = {"near": (0, 5, 0), "far": (0, 50, 0), "beside": (9, 5, 0), "behind": (0, -5, 0), "both": (90, 50, 0)}
+    items = {name: add(name, mesh, location=place) for name, place in places.items()}
+    dots = bpy.data.meshes.new("dots")
+    dots.from_pydata(list(places.values()), [], [])
+    source = add("source", cube("instanced", 0.5), location=(0, 0, -1e4))
+    nodes(
+        add("host", dots),
+        lambda points, new: new(
+            "GeometryNodeInstanceOnPoints",
+            {"Points": points, "Instance": new("GeometryNodeObjectInfo", {0: source, "As Instance": True}).outputs[4]},
+        ).outputs[0],
+    )
+
+    def shown() -> list[int]:
+        """Instances of the objects that are there, and how many of the scatter."""
+        keys = extract_frame(scene).keys
+        names = [keys.names[k] for k in keys.records["object"]]
+        hosted = keys.records["host"] >= 0
+        return [*(names.count(name) for name in places), int(hosted.sum())]
+
+    assert shown() == [1, 1, 1, 1, 1, 5]
+    scene.render.use_simplify = True
+    scene.cycles.use_camera_cull, scene.cycles.camera_cull_margin = True, 0.1
+    scene.cycles.use_distance_cull, scene.cycles.distance_cull_margin = far, 20.0
+    assert shown() == [1, 1, 1, 1, 1, 5]
+    for item in (*items.values(), source):
+        item.cycles.use_camera_cull = True
+    assert shown() == [1, 1, 0, 0, 0, 2]
+    for item in (*items.values(), source):
+        item.cycles.use_distance_cull = True
+    assert shown() == ([1, 1, 1, 1, 0, 4] if far else [1, 1, 0, 0, 0, 2])

@@ -137,8 +137,9 @@ def test_a_lamp_that_takes_light_away() -> None:
     assert r["unsure"] == 2
 
 
-def test_a_light_falloff_keeps_its_strength() -> None:
-    """As at a distance of a metre, and said."""
+@pytest.mark.parametrize(("output", "power"), [("Quadratic", 0), ("Linear", 1), ("Constant", 2)])
+def test_a_light_falloff_is_as_bright_as_it_may_be(output: str, power: int) -> None:
+    """As at a distance of a metre, or, where it falls off by less than light does, at the farthest corner; and said."""
     data = lamp("POINT", energy=2.0)
     tree = data.node_tree
     if tree is None:
@@ -146,10 +147,11 @@ def test_a_light_falloff_keeps_its_strength() -> None:
     emission = next((n for n in tree.nodes if n.type == "EMISSION"), None) or tree.nodes.new("ShaderNodeEmission")
     falloff = tree.nodes.new("ShaderNodeLightFalloff")
     falloff.inputs["Strength"].default_value = 50.0
-    tree.links.new(falloff.outputs["Linear"], emission.inputs["Strength"])
-    add("lamp", data)
+    tree.links.new(falloff.outputs[output], emission.inputs["Strength"])
+    add("lamp", data, location=(0, 0, 9))
     extraction = extracted()
-    np.testing.assert_allclose(extraction.scene.lights["power"], 100.0)
+    np.testing.assert_allclose(extraction.scene.lights["power"], 100.0 * np.sqrt(1 + 1 + 10**2) ** power, rtol=1e-5)
+    assert extraction.scene.lights["unsure"].all()
     assert len(extraction.scene.approximated) == 1
 
 

@@ -469,8 +469,8 @@ def test_a_colour_that_may_be_anything_is_not_sure(kind: str, known: bool) -> No
 @pytest.mark.parametrize("kind", ["Noise", "Checker", "Brick"])
 def test_patterns_stand_for_patterns(kind: str) -> None:
     """What is dark here and bright there is so in the analysis, elsewhere, by the place on the mesh: small things
-    differ from it as they do in truth. Where it is dark in truth it surely is as bright as half of that; tiles are one
-    or the other."""
+    differ from it as they do in truth. Where it is dark in truth it surely is as bright as that, and half of all is
+    not sure where that is much darker; tiles are one or the other."""
     t = Tree()
     texture = t.new(f"ShaderNodeTex{kind}")
     if kind == "Noise":
@@ -481,7 +481,7 @@ def test_patterns_stand_for_patterns(kind: str) -> None:
     else:
         texture.inputs["Color1"].default_value, texture.inputs["Color2"].default_value = (0.1,) * 4, (0.9,) * 4
         color = texture.outputs["Color"]
-    record, textures, lines = t.record(t.new("ShaderNodeBsdfDiffuse", {"Color": color}))
+    (head, record, doubtful), textures, lines = t.parts(t.new("ShaderNodeBsdfDiffuse", {"Color": color}))
     assert lines == [f"material m: {texture.bl_label} node replaced by a pattern"]
     shown = pixels_of(textures, record["base_color_texture"])[..., 0]
     np.testing.assert_allclose((shown.min(), shown.max(), shown.mean()), (0.1, 0.9, 0.5), atol=0.02)
@@ -489,7 +489,8 @@ def test_patterns_stand_for_patterns(kind: str) -> None:
     tiles = shown.reshape(8, 32, 8, 32).mean(axis=(1, 3))
     assert tiles.min() < 0.25
     assert tiles.max() > 0.75
-    np.testing.assert_allclose(record["sure"], 0.2 * 1.2 / 2, rtol=0.05)
+    np.testing.assert_allclose((head["alpha"], record["sure"], doubtful["sure"]), (0.5, 0.2, 0.2), rtol=0.05)
+    assert (record["unsure"], doubtful["unsure"]) == (0, Unsure.LIGHT)
     add("cube", cube()).data.materials.append(t.material)
     scene = extract_frame(bpy.context.scene).scene
     uvs = scene.meshes[0].uvs
@@ -560,7 +561,7 @@ def test_a_volume_alone_lets_light_pass() -> None:
     assert (head["alpha"], clear["shader"], scatters["shader"], clear["unsure"]) == (
         0.5, Shader.TRANSPARENT, Shader.TRANSLUCENT, 1
     )
-    assert lines == ["material m: volume not rendered"]
+    assert [line.startswith("material m: volume not rendered: ") for line in lines] == [True]
     (record,), _, lines = t.parts(t.new("ShaderNodeBsdfDiffuse"))
     assert (record["shader"], len(lines)) == (Shader.DIFFUSE, 1)
 
@@ -750,3 +751,22 @@ def test_normals_that_a_reduced_map_has_lost_spread_what_is_reflected(side: int,
     expected = (2 * mean_of_four * 0.35**2 / 3) ** 0.25
     assert sorted(records["roughness"].tolist())[-1] == pytest.approx(expected, rel=0.1)
     assert (records["normal_texture"] >= 0).sum() == 2
+
+
+@pytest.mark.parametrize("kind", ["occlusion", "own", "fog", "drink"])
+def test_what_sees_more_than_light_paths_warns(kind: str) -> None:
+    """What only darkens an Ambient Occlusion node, or lights fog, can go: that is a warning, not a remark. Not so of
+    what looks at its own object alone, nor of what is within a surface."""
+    t = Tree()
+    if kind in {"fog", "drink"}:
+        t.tree.links.new(t.new("ShaderNodeVolumeScatter").outputs[0], t.output.inputs["Volume"])
+        if kind == "drink":
+            t.tree.links.new(t.new("ShaderNodeBsdfGlass").outputs[0], t.output.inputs["Surface"])
+    else:
+        occlusion = t.new("ShaderNodeAmbientOcclusion", only_local=kind == "own")
+        t.tree.links.new(t.new("ShaderNodeEmission", {0: occlusion.outputs[0]}).outputs[0], t.output.inputs["Surface"])
+    add("cube", cube()).data.materials.append(t.material)
+    add("lamp", bpy.data.lights.new("lamp", "POINT"))
+    warnings = extract_frame(bpy.context.scene).warnings
+    assert len(warnings) == (kind in {"occlusion", "fog"})
+    assert all(line.endswith("is taken to be worth nothing") for line in warnings)
