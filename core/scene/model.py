@@ -292,8 +292,7 @@ class PathLimits:
     clamp_indirect: float = 0.0
     filter_glossy: float = 0.0
     shading: Shading = Shading.BLENDER_5_0
-    # Fast GI (Cycles' ambient occlusion in place of bounces): from this bounce on, 0: never, rays reach `fast_reach`
-    # metres, see the world times `fast_factor` where they meet nothing, and end where they meet something
+    # Fast GI, from this bounce on, 0: never: rays reach so many metres, and end, or see the world times a factor
     fast_gi: int = 0
     fast_reach: float = 0.0
     fast_factor: float = 1.0
