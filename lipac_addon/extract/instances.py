@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import F64
+from ...core.arrays import F32, F64
 from ...core.scene.model import Camera, InstanceFlag
 from ...core.scene.placing import compose_rows, local_reach
 from ..keys import MAX_DEPTH, Kind
@@ -147,10 +147,7 @@ class Placer:
             at = Placements(
                 world[members], int(Kind.OBJECT), -1, visible[members].astype(np.uint8), marks[members].astype(np.uint8)
             )
-            if self._simplify is not None:
-                box = self.meshes.source(mesh).bounds
-                gone = [self._simplify.gone(shown[k].item, box, world[k : k + 1])[0] for k in members]
-                at = replace(at, visible=np.where(gone, 0, at.visible))
+            at = _there(self._simplify, [shown[k] for k in members], self.meshes.source(mesh).bounds, at)
             self._output.emit(self.block, mesh, slots[members], names[members], VISIBLE, 0, at)
         self.block.count = self._output.count - self.block.first
 
@@ -161,8 +158,6 @@ class Placer:
             at = [Placements(n.world[None], int(n.kind), n.name, n.visible, n.marks & whole) for n in hosts]
             self._instances_of(list(zip(hosts, at, strict=True)), (), 0)
             self.block.count = self._output.count - self.block.first
-
-    # Placing
 
     def _object(self, node: Node, at: Placements, replaced: bool = False) -> None:
         """An instanced object, without what it instances itself. replaced: by its parent's vertex or face
@@ -177,7 +172,8 @@ class Placer:
                 node.geometry.offset,
                 node.marks & int(InstanceFlag.SHADOW_CATCHER),
             )
-            self._output.emit(self.block, mesh, offset, node.name, node.visible, marks, self._there(node, mesh, at))
+            there = _there(self._simplify, [node], self.meshes.source(mesh).bounds, at)
+            self._output.emit(self.block, mesh, offset, node.name, node.visible, marks, there)
 
     def _instances_of(self, hosts: Sequence[tuple[Node, Placements]], stack: tuple[int, ...], depth: int) -> None:
         """What objects instance, for objects placed at the same depth. Those of one collection are taken together."""
@@ -234,16 +230,9 @@ class Placer:
                     self._collection(target, compose(child.transform, target.offset), child, stack)
                 else:
                     if target.mesh >= 0:
-                        there = self._there(owner, target.mesh, child)
+                        there = _there(self._simplify, [owner], self.meshes.source(target.mesh).bounds, child)
                         self._output.emit(self.block, target.mesh, target.offset, owner.name, VISIBLE, 0, there)
                     self._geometry_instances(target, owner, child, stack)
-
-    def _there(self, node: Node, mesh: int, at: Placements) -> Placements:
-        """Placements of a mesh of an object, of which those that Cycles leaves out are invisible."""
-        if self._simplify is None:
-            return at
-        gone = self._simplify.gone(node.item, self.meshes.source(mesh).bounds, at.transform)
-        return replace(at, visible=np.where(gone, 0, at.visible)) if gone.any() else at
 
     def _lamp(self, node: Node, at: Placements) -> None:
         assert node.lamp is not None
@@ -256,3 +245,13 @@ def _place_rows(geometry: Geometry, at: Placements, placement: NDArray[np.int64]
     transform = np.empty((len(row), 3, 4))
     compose_rows(at.transform, placement, geometry.columns, row, transform)
     return at.inside(transform, placement, row.astype(np.int32))
+
+
+def _there(simplify: Simplify | None, nodes: Sequence[Node], box: F32, at: Placements) -> Placements:
+    """Placements of a mesh with a box (2, 3): those that Cycles leaves out are invisible. nodes: the object, or one for
+    each placement."""
+    if simplify is None:
+        return at
+    each = [at.transform] if len(nodes) == 1 else np.split(at.transform, len(nodes))
+    gone = np.concatenate([simplify.gone(node.item, box, place) for node, place in zip(nodes, each, strict=True)])
+    return replace(at, visible=np.where(gone, 0, at.visible)) if gone.any() else at

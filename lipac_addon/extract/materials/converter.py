@@ -29,6 +29,7 @@ from .trees import (
 )
 
 HALF = grey(0.5)
+FOG = f": what only lights it or throws shadows into it {WORTHLESS}"
 DARK = 0.15  # share of the places that are at most as bright as what is surely there: fewer fill no tile
 FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding
 
@@ -65,8 +66,7 @@ class Converter:
         tree = self.surface(node.inputs["Surface"])
         if node.inputs["Volume"].is_linked:
             alone = not node.inputs["Surface"].is_linked
-            lost = f": what only lights it or throws shadows into it {WORTHLESS}" if alone else ""
-            self.report(f"volume not rendered{lost}")
+            self.report(f"volume not rendered{FOG if alone else ''}")
             glow = glow_of(node.inputs["Volume"]) if self.most else 0.0
             if alone:
                 return self._volume(glow)
@@ -92,8 +92,6 @@ class Converter:
             tree = spread(tree, self._spread)
         self._spread = outer
         return tree
-
-    # Filling a record
 
     def weighed(self, socket: Any) -> tuple[Value, bool]:
         """A value that says how much of something shows, and whether it is but an approximation; then it is a half."""
