@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -122,11 +123,19 @@ class Evaluation:
         self.pictures.append(arrays["picture"].astype(np.float32))
         return row
 
+    @cached_property
+    def referee(self) -> Judge:
+        """A judge of pictures as large as those that are analysed: of a budget, blocks are pixels of these."""
+        width, height = self.settings.options.picture_size(self.scene.film)
+        scene = replace(self.scene, film=replace(self.scene.film, width=width, height=height))
+        return Judge(scene, self.settings.samples, self.settings.threads, cancelled=self.cancelled)
+
     def changed(self, keep: np.ndarray, budget: Budget) -> Row:
-        """Error of a set, and whether it holds a budget, and nothing else of it, which is much cheaper."""
+        """Error of a set, and whether it holds a budget, by the measure that the budget is of; nothing else of it,
+        which is much cheaper."""
 
         def compute() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-            verdict = self.judge.verdict(keep, budget)
+            verdict = self.referee.verdict(keep, budget)
             change = verdict.change
             row = error_of(change) | {"holds": change.holds(budget)}
             return row | {"surely": verdict.surely, "broken": verdict.broken, "judged_by": verdict.samples}, {}
