@@ -177,9 +177,12 @@ def baked_world(world: Any) -> ExtractedWorld:
     tree = world.inline_shader_nodes()
     nodes = list(tree.node_tree.nodes)
     lines = [*_volume(world)]
-    split = any(n.type == "LIGHT_PATH" for n in nodes)
-    if split:
+    told = {out.name for n in nodes if n.type == "LIGHT_PATH" for out in n.outputs if out.is_linked}
+    split = bool(told)
+    if told == {"Is Camera Ray"}:
         lines.append(f"world {world.name}: Light Path node, all rays but the camera's see what rays through glass see")
+    elif told:
+        lines.append(f"world {world.name}: Light Path node: what only rays of other kinds see of it {WORTHLESS}")
     sizes = [n.image.size[1] for n in nodes if n.type in {"TEX_ENVIRONMENT", "TEX_IMAGE"} and n.image is not None]
     height = int(np.clip(max([BAKE_HEIGHT, *sizes]), 1, MAX_HEIGHT))
     sun = any(n.type == "TEX_SKY" and n.sun_disc and n.sky_type not in {"PREETHAM", "HOSEK_WILKIE"} for n in nodes)

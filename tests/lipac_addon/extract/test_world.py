@@ -11,6 +11,7 @@ import pytest
 from lipac.core.scene.model import RayType
 from lipac.lipac_addon.extract import extract_frame, extract_world
 from lipac.lipac_addon.extract import world as module
+from lipac.lipac_addon.extract.materials.reader import WORTHLESS
 
 from .conftest import add, cube
 
@@ -111,6 +112,15 @@ def test_camera_and_other_rays_see_their_own_sky() -> None:
     assert blocks == [
         len(getattr(bpy.data, name)) for name in ("objects", "meshes", "materials", "worlds", "cameras", "scenes")
     ]
+
+
+@pytest.mark.parametrize(("ray", "worthless"), [("Is Camera Ray", False), ("Is Diffuse Ray", True)])
+def test_what_only_other_rays_see_of_a_world_is_said_to_be_worth_nothing(ray: str, worthless: bool) -> None:
+    """Which makes the line a warning. Rays through glass, and light sampling, see no diffuse rays' sky."""
+    _, tree, background = new_world()
+    tree.links.new(tree.nodes.new("ShaderNodeLightPath").outputs[ray], background.inputs["Strength"])
+    (line,) = extract_world(bpy.context.scene).approximated
+    assert line.endswith(WORTHLESS) == worthless
 
 
 def test_a_world_in_fog_is_baked_without_it() -> None:
