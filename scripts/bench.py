@@ -37,7 +37,8 @@ def main(argv: Sequence[str]) -> int:
 
     parser = Parser(
         prog="lipac bench",
-        description="Measure against peers, and animated scenes; parts already measured in DIR are kept.",
+        description="Measure against peers, and animated scenes; parts already measured in DIR are kept. Rows of peers "
+        "that are not here (Mitsuba, a C compiler) are left out.",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     what = (

@@ -53,7 +53,7 @@ FRAME: dict[str, tuple[dict[str, Any], str]] = {
     "triangles": (COUNT, "of these meshes, each counted once"),
     "parts": (COUNT, "parts of divided meshes"),
     "parts_active": (COUNT, "those that stay"),
-    "levels": (COUNT, "`--levels`: meshes that are exchanged for simplified ones"),
+    "levels": (COUNT, "`--levels`: meshes that are simplified, or made with fewer levels or points"),
     "levels_triangles": (COUNT, "triangles that these have less, each mesh counted once"),
     # Error, as shares
     "predicted_mean": (SHARE, "change of the mean of tiles that single worths add up to"),

@@ -47,8 +47,8 @@ class LIPAC_OT_analyze(_Analysis, bpy.types.Operator):
 
 
 class LIPAC_OT_bake_shot(_Analysis, bpy.types.Operator):
-    """Analyze all frames of the scene's range, and hide from renders what none of them needs, until Restore. Nothing
-    flickers"""
+    """Analyze all frames of the scene's range, certify one set for all of them, and hide all else from renders, until
+    Restore. Nothing flickers"""
 
     bl_idname = "lipac.bake_shot"
     bl_label = "Bake Shot"

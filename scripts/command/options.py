@@ -101,7 +101,7 @@ def scene_parser(command: str, description: str) -> Parser:
         "--bake",
         choices=("frame", "shot"),
         default="frame",
-        help="frame: what each frame needs; shot: in all frames what any of them needs",
+        help="frame: what each frame needs; shot: one set for all frames, certified in each of them",
     )
     part = "with --bake shot: the frames that the set is for, where --frames are a part of them: so a shot can be split"
     shot.add_argument("--shot", type=frame_range, metavar="A-B", help=part)
@@ -121,7 +121,8 @@ def scene_parser(command: str, description: str) -> Parser:
     shot.add_argument(
         "--levels",
         action="store_true",
-        help="light-paths: exchange meshes of what stays for simplified ones, as far as --max-error allows",
+        help="light-paths: exchange meshes of what stays for simplified ones, and render fewer levels of subdivision "
+        "and points of curves, as far as --max-error allows",
     )
     shot.add_argument(
         "--no-mitigation",
@@ -182,7 +183,7 @@ def cull_options(args: argparse.Namespace) -> CullOptions:
 
 
 def _by_parts(args: argparse.Namespace) -> bool:
-    """Whether large meshes are culled by parts: where Blender renders them, and frames decide by themselves."""
+    """Whether large meshes are culled by parts: where Blender renders them, and no frame begins with the last one's."""
     engine = getattr(args, "engine", "")
     ours = bool(engine) and engine not in BLENDER_ENGINES
     return not (args.no_parts or args.warm or ours or (not engine and args.verify))

@@ -25,7 +25,7 @@ def main(argv: Sequence[str]) -> int:
 
     parser = Parser(
         prog="lipac farm",
-        description="Describe a shot as a job: analyse its frames, unite, render, verify a sample, certify.",
+        description="Describe a shot as a job: analyse its frames, unite, judge, render, verify a sample, certify.",
     )
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help=".blend; inside Blender: the open file")
     parser.add_argument(
