@@ -102,8 +102,8 @@ def known_share(scene: Scene, known: F32, picture: F32) -> F64:
 
 
 def evidence(measured: Measurement, scene: Scene, size: tuple[int, int], budget: Budget) -> tuple[I64, I64]:
-    """(A,) how many paths say what each TLAS entry is worth: those that met it; and instances that no path met where
-    some such may well be seen, which stay.
+    """(A,) how many paths say what each TLAS entry is worth: those that met it; and instances that stay: those that no
+    path met where some such may well be seen, and those that may hide such.
 
     What mirrors and glass show of an emitter, light sampling does not find. Where one path that meets it there would
     break the budget of a typical tile, and paths meet such emitters there, those alone are evidence.
@@ -127,7 +127,11 @@ def evidence(measured: Measurement, scene: Scene, size: tuple[int, int], budget:
     if not seen.any():
         return met, nothing
     met[rows] = np.minimum(met[rows], seen)
-    return met, ids[rows[seen == 0]].astype(np.int64) if likely_missed(seen) > 1 - CONFIDENCE else nothing
+    missed = ids[rows[seen == 0]] if likely_missed(seen) > 1 - CONFIDENCE else nothing
+    # what else mirrors show may hide such an emitter there
+    shown = measured.feedback.hits[ids][:, [RayType.GLOSSY, RayType.TRANSMISSION]].any(axis=1)
+    shown[rows] = False
+    return met, np.union1d(missed, ids[shown]).astype(np.int64)
 
 
 def likely_missed(counts: I64) -> float:

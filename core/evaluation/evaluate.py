@@ -106,6 +106,7 @@ class Evaluation:
         progress: Progress = silent,
         cancelled: Callable[[], bool] | None = None,
     ) -> None:
+        scene = replace(scene, coarser=None)  # which makes itself anew each time, and is of no use here
         self.scene, self.settings, self.cancelled = scene, settings, cancelled
         self.store = Store(folder, scene, settings.samples)
         self.judge = Judge(scene, settings.samples, settings.threads, progress, cancelled)

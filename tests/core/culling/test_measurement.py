@@ -65,6 +65,14 @@ def test_what_no_mirror_ray_met_stays_where_others_were_met_by_chance(mirror_hit
         assert (met[1:] == SHADOW_HITS).all()
 
 
+@pytest.mark.parametrize(("mirror_hits", "stays"), [([9, 14, 12], True), ([0, 0, 0], False)])
+def test_what_a_mirror_shows_may_hide_what_it_would_show(mirror_hits: list[int], stays: bool) -> None:
+    """Entry 0 is met by way of a mirror: it stays where specks are met there, too."""
+    found, scene = measured(mirror_hits)
+    found.feedback.hits[0, s.RayType.GLOSSY] = 1
+    assert evidence(found, scene, SIZE, Budget(0.01, 0.05))[1].tolist() == [0] * stays
+
+
 def test_how_many_are_missed_is_no_overestimate_and_right_where_all_are_alike() -> None:
     """Of 400 things that are each met three times on average, 400 / e**3 are not: 20, by a deviation of 4.4."""
     rng = np.random.default_rng(2)

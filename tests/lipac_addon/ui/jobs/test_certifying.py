@@ -41,8 +41,8 @@ def judged(monkeypatch: pytest.MonkeyPatch, holds: Any) -> list[int]:
     calls: list[int] = []
     check = union.check
 
-    def said(loop: Any, keep: Any, met: Any, faces: Any, earlier: int, progress: Any) -> Check:
-        found = check(loop, keep, met, faces, earlier, progress)
+    def said(loop: Any, keep: Any, met: Any, faces: Any, earlier: int, *more: Any) -> Check:
+        found = check(loop, keep, met, faces, earlier, *more)
         calls.append(earlier)
         return replace(found, holds=found.holds and holds(len(calls)))
 
