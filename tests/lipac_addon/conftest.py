@@ -33,9 +33,9 @@ def ground_and_boxes() -> None:
 
 
 def draw_quickly(scene: bpy.types.Scene) -> None:
-    """Have EEVEE prepare maps that are as large as small pictures of a plain world need: it does so for every render,
-    by the processor where there is no graphics card."""
-    scene.world.probe_resolution, scene.eevee.shadow_pool_size = "128", "16"
+    """Have EEVEE prepare a map of the world that is as large as small pictures of a plain one need: it does so for
+    every render, by the processor where there is no graphics card. (Shadows in less memory are not the same twice.)"""
+    scene.world.probe_resolution = "128"
 
 
 def save_rising(folder: Path) -> Path:

@@ -28,7 +28,7 @@ from lipac.scripts.studies.hybrid import pop
 from ..conftest import draw_quickly
 
 SMALL = ["--resolution", "64x36", "--quiet"]
-FAST = [*SMALL, "--engine", "hybrid", "--raster-samples", "1"]
+FAST = [*SMALL, "--engine", "hybrid", "--raster-samples", "2"]
 needs_opengl = pytest.mark.skipif(not opengl.has_opengl(), reason=opengl.NO_OPENGL)
 
 
@@ -133,7 +133,7 @@ def test_sequence(ride_file, tmp_path):
     names."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     command = [
-        "render", str(ride_file), *FAST, "--samples", "8", "--cull", "distance", "--distance",
+        "render", str(ride_file), *FAST, "--raster-samples", "1", "--samples", "8", "--cull", "distance", "--distance",
         "7.2"
     ]
     assert main([*command, "-o", str(whole), "--frames", "1-2"]) == 0
