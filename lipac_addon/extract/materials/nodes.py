@@ -76,7 +76,7 @@ def node_attribute(reader: Reader, node: Any, socket: Any) -> Value:
     return reader.average(node, 1.0)
 
 
-def node_tex_image(reader: Reader, node: Any, socket: Any) -> Value:
+def node_tex_image(reader: Reader, node: Any, socket: Any) -> Value | None:
     if node.projection != "FLAT":
         reader.doubt(
             f"{node.projection.lower()} projection of image {node.image.name if node.image else ''!r} replaced by UVs"
@@ -84,7 +84,10 @@ def node_tex_image(reader: Reader, node: Any, socket: Any) -> Value:
     uv_map, matrix = placement(reader, node.inputs["Vector"])
     alpha_read = node.outputs["Alpha"].is_linked
     source = reader.textures.image(node.image, not alpha_read)
-    reader.doubts += not reader.textures.sources[source].exact
+    if not reader.textures.sources[source].exact:
+        if reader.patterns:
+            return None  # other pictures than the first may show anything
+        reader.doubts += 1
     use = ImageUse(
         source, reader.textures.uv_map(uv_map), matrix, int(EXTENSIONS[node.extension]), node.interpolation == "Closest"
     )

@@ -92,6 +92,8 @@ def _noise(node: Any) -> Interval:
 
 def _image(node: Any) -> Interval:
     image = node.image
+    if image is not None and image.source not in {"FILE", "GENERATED"}:  # of others only the first picture can be read
+        return UNKNOWN
     if image is None or not image.is_float:
         return UNIT
     pixels = np.empty(len(image.pixels), np.float32)

@@ -770,3 +770,16 @@ def test_what_sees_more_than_light_paths_warns(kind: str) -> None:
     warnings = extract_frame(bpy.context.scene).warnings
     assert len(warnings) == (kind in {"occlusion", "fog"})
     assert all(line.endswith("is taken to be worth nothing") for line in warnings)
+
+
+def test_a_tiled_image_may_show_anything() -> None:
+    """Only its first picture can be read: what light comes by the others is not known."""
+    material = bpy.data.materials.new("tiled")
+    tree = material.node_tree
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image = bpy.data.images.new("tiles", 4, 4, tiled=True)
+    assert node.image.source == "TILED"
+    tree.links.new(node.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Base Color"])
+    table = MaterialTable(TextureTable(lambda _: None))
+    table.index(material)
+    assert table.build()["unsure"][0] & Unsure.LIGHT
