@@ -23,7 +23,7 @@ from ..batch.shot_set import ShotSet
 from ..batch.uniting import judging
 from .layout import FarmShot, read_json, write_json
 from .opening import open_shot
-from .unite import set_of
+from .unite import chosen_of, set_of
 
 FIGURES = ("certified_mean", "certified_worst", "unknown_mean", "unknown_worst", "certificate_paths")
 
@@ -35,7 +35,7 @@ def judge(
     chosen, wanted = chosen_of(shot), list(frames)
     todo = [frame for frame in wanted if read_json(shot.judged(frame), key=shot.key, set=chosen) is None]
     if todo:
-        together, chosen = set_of(shot)
+        together = set_of(shot)
         open_shot(shot)
         for found in judged(shot, together, todo, 0, threads, progress, cancelled):
             write_json(shot.judged(found["frame"]), {"key": shot.key, "set": chosen, **found})
@@ -64,8 +64,8 @@ def judged(
             entry = decide_layers(sessions, frame, frame == frames[-1], within, cancelled, decide).entry
             yield {
                 "frame": frame,
-                "holds": all(held),
-                **{name: entry[name] for name in FIGURES},
+                "holds": bool(held) and all(held),  # what was not asked does not hold
+                **{name: entry.get(name) for name in FIGURES},  # None where a frame has nothing to trace
                 "seconds": time.perf_counter() - begin,
                 "peak_bytes": peak_memory(),
             }
@@ -81,11 +81,3 @@ def of_frames(shot: FarmShot, frames: Iterable[int]) -> list[dict[str, Any]]:
         few = ", ".join(map(str, missing[:8])) + (f" and {len(missing) - 8} more" if len(missing) > 8 else "")
         raise InputError(f"the set was not judged in frames {few}; run lipac shot judge {shot.folder} for these")
     return [one for one in found.values() if one is not None]
-
-
-def chosen_of(shot: FarmShot) -> str:
-    """Which set the shot has. Raises InputError where there is none yet."""
-    chosen = (read_json(shot.united, key=shot.key) or {}).get("set")
-    if chosen is None:
-        raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
-    return str(chosen)

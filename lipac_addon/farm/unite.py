@@ -85,16 +85,21 @@ def save_set(path: Path, together: ShotSet, note: dict[str, Any]) -> None:
     save_states(path, state, score, hits, keys.records, keys.names, json.dumps(note), faces=together.faces)
 
 
-def set_of(shot: FarmShot) -> tuple[ShotSet, str]:
-    """The shot's set, and its digest. Raises InputError where there is none, or not of the analyses that are there."""
+def chosen_of(shot: FarmShot) -> str:
+    """Which set the shot has. Raises InputError where there is none yet."""
     chosen = (read_json(shot.united, key=shot.key) or {}).get("set")
     if chosen is None:
         raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
-    together = ShotSet()
-    if note_of(shot.set).get("set") != chosen:
+    return str(chosen)
+
+
+def set_of(shot: FarmShot) -> ShotSet:
+    """The shot's set. Raises InputError where there is none, or its file is missing or damaged."""
+    if note_of(shot.set).get("set") != chosen_of(shot):
         raise InputError(f"{shot.set} is missing or damaged: run lipac shot unite {shot.folder} again")
+    together = ShotSet()
     together.add(load_states(shot.set))
-    return together, str(chosen)
+    return together
 
 
 def parts_of(shot: FarmShot) -> list[Path]:

@@ -17,10 +17,10 @@ from ..batch.job import Cancel, check, never
 from ..batch.verify import change, random_crops
 from .analyse import decide_frames, note_of
 from .children import crops_of, render
-from .judge import FIGURES, chosen_of, judged, of_frames
+from .judge import FIGURES, judged, of_frames
 from .layout import FarmShot, read_json, rendered_from, write_json
 from .opening import open_shot
-from .unite import parts_of, save_culled, united
+from .unite import chosen_of, parts_of, save_culled, united
 
 MENDS = 3  # larger sets that are tried, the last one with everything
 ALL = "all"
