@@ -66,7 +66,11 @@ def named_costs(
     rows = int(np.count_nonzero(records["kind"] == Kind.GEOMETRY_NODES))
     fixed = CYCLES + film_bytes(scene) + ROW * rows + largest + sum(sizes[image] for image in world - set(images))
     costs = RenderCosts(*per_mesh, _instances(records), size, uses, fixed).with_images_that_stay(stay)
-    names = tuple("" if mesh is None else mesh.name for mesh in found)
+    # Blender 5.0 gives no other name to what modifiers made
+    names = tuple(
+        "" if mesh is None else source.name if mesh.name == "Mesh" else mesh.name
+        for source, mesh in zip(sources, found, strict=True)
+    )
     return NamedCosts(costs, names, tuple(image.name_full for image in images))
 
 

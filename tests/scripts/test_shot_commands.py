@@ -41,6 +41,14 @@ def started(*arguments):
     )
 
 
+def waited_for(path, process, limit=120.0):
+    """The moment at which the file was there, or the process had ended, or time was over."""
+    end = time.monotonic() + limit
+    while not path.exists() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.005)
+    return time.monotonic()
+
+
 def states(folder):
     return {p.name: p.read_bytes() for p in sorted((folder / "states").glob("frame_*.npz"))}
 
@@ -50,13 +58,10 @@ def test_killed_again_and_again_then_resumed(blend, tmp_path):
     """At no moment is there a half-written file, and in the end all is as if nothing had happened."""
     arguments = ["render", blend, "-o", tmp_path / "killed", "--engine", "path", "--frames", "1-8", *SMALL]
     rng = random.Random(1)
-    for wanted in (1, 3):
-        process = started(*arguments, *(["--resume"] if wanted > 1 else []))
-        picture = tmp_path / "killed" / f"frame_{wanted:04}.exr"
-        limit = time.monotonic() + 120
-        while not picture.exists() and process.poll() is None and time.monotonic() < limit:
-            time.sleep(0.02)
-        time.sleep(rng.random() * 0.3)
+    for wanted in (2, 4):
+        process = started(*arguments, *(["--resume"] if wanted > 2 else []))
+        before, there = (waited_for(tmp_path / "killed" / f"frame_{k:04}.exr", process) for k in (wanted - 1, wanted))
+        time.sleep(rng.random() * (there - before))  # within the next frame, however fast frames are here
         process.kill()
         process.communicate()
         for path in tmp_path.rglob("frame_*"):

@@ -216,6 +216,8 @@ def colors_shown(mesh: Mesh, scene: Any) -> Any:
 
 def test_points_and_strands_show_their_attributes() -> None:
     """Each point its own, each control point, or one of a curve; sparks are as bright as that says."""
+    if "resize" not in bpy.types.PointCloud.bl_rna.functions:
+        pytest.skip("Blender 5.1 and later can make points by a script")
     cloud = bpy.data.pointclouds.new("cloud")
     cloud.resize(3)
     values = np.array([[0.0, 0.0, 0.0, 1], [4.0, 0.5, 0.0625, 1], [1024.0, 0.0, 1.0, 1]], np.float32)
