@@ -106,7 +106,7 @@ def mask_object(rows: NDArray[np.bool_], places: F32 | None) -> bpy.types.Object
     with marks.making() as made:
         made.append(mesh := bpy.data.meshes.new(NAME))
         mesh.vertices.add(len(rows))
-        if places is not None:
+        if places is not None and len(rows):  # a mesh without vertices has no positions
             mesh.attributes["position"].data.foreach_set(
                 "vector", np.ascontiguousarray(places[: len(rows)], np.float32).ravel()
             )

@@ -37,7 +37,7 @@ def mask_rows(host: bpy.types.Object, rows: NDArray[np.bool_], places: F32, dist
     modifier = _mask_of(host)
     if modifier is not None:
         holder = next(mask_inputs(modifier), None)
-        if holder is not None and len(holder.data.vertices) == len(rows):
+        if holder is not None and len(holder.data.vertices) == len(rows) > 0:
             holder.data.attributes[mask.ATTRIBUTE].data.foreach_set("value", rows)
             holder.data.attributes["position"].data.foreach_set("vector", _flat(places, len(rows)))
             holder.data.update()

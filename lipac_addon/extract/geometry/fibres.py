@@ -215,7 +215,9 @@ def _strand_modifiers(item: Any) -> list[Any]:
 
 
 def strands(curves: Any, slot: int) -> Fibres | None:
-    """Curves of a GeometrySet. slot: of their first material."""
+    """Curves of a GeometrySet, None where there are none. slot: of their first material."""
+    if not len(curves.points):
+        return None  # nor can the offsets be read, of which Blender then says that there is one
     points = _values(curves, "position", "vector", len(curves.points), 3)
     radius = _values(curves, "radius", "value", len(curves.points), 1, 0.01)
     ends = np.zeros(len(curves.curve_offset_data), np.int32)

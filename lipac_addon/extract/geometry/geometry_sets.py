@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....core.arrays import F32
+from ....core.errors import InputError
 from .fibres import Fibres, balls, joined, strands
 from .mesh_table import MeshTable
 from .meshes import matrices, read
@@ -138,7 +139,10 @@ class GeometryReader:
     ) -> Geometry:
         """Read the GeometrySet of an object. kept: another of the same, for meshes that are read later. key: names its
         mesh over the frames. lines: what is not rendered is added. data: as of `Geometry`. hair: of the object.
-        instanced: it is not the object's own."""
+        instanced: it is not the object's own. Raises InputError for a mesh in Edit Mode, of whose faces Blender gives
+        out nothing."""
+        if geometry.mesh is not None and geometry.mesh.is_editmode:  # perhaps another object's
+            raise InputError(f"object {item.name!r} shows a mesh that is in Edit Mode: leave it first")
         while self.meshes.taken(key):  # an evaluated mesh of an object's own may have the name of another
             key = f"{key}\n{item.name}"
         materials: Slots = () if geometry.mesh is None else self._slots(item, geometry.mesh)

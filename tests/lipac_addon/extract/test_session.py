@@ -500,6 +500,25 @@ def boxes_in_edit_mode() -> str:
     return item.name
 
 
+@pytest.mark.parametrize("kind", ["meshes", "hair_curves", "pointclouds"])
+def test_a_mesh_that_is_edited_and_others_show_is_said(boxes_in_edit_mode: str, kind: str) -> None:
+    """An object of any kind whose nodes instance it, in a picture without the object itself."""
+    host = bpy.data.objects.new("host", getattr(bpy.data, kind).new("host"))
+    bpy.context.scene.collection.objects.link(host)
+    tree = bpy.data.node_groups.new("shows", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    found, put = tree.nodes.new("GeometryNodeObjectInfo"), tree.nodes.new("GeometryNodeGeometryToInstance")
+    found.inputs["Object"].default_value = bpy.data.objects[boxes_in_edit_mode]
+    tree.links.new(found.outputs["Geometry"], put.inputs[0])
+    tree.links.new(put.outputs[0], tree.nodes.new("NodeGroupOutput").inputs[0])
+    host.modifiers.new("shows", "NODES").node_group = tree
+    bpy.data.objects[boxes_in_edit_mode].hide_render = True
+    with pytest.raises(InputError, match="'host' shows a mesh that is in Edit Mode"):
+        extract_frame(bpy.context.scene)
+    leave_modes()
+    assert len(extract_frame(bpy.context.scene).scene.instances) == 1
+
+
 def test_what_cannot_be_put_back_keeps_nothing_else_from_it() -> None:
     """A film format whose colour mode reads "" (RGBA with a codec without alpha)."""
     settings = bpy.context.scene.render.image_settings

@@ -55,6 +55,10 @@ def test_rows_go_where_they_were_and_nowhere_else(host):
     np.testing.assert_array_equal(cloud(host), places)  # nothing is there
     viewport.mask_rows(host, gone[:4], places)  # fewer rows: another mask
     assert len(cloud(host)) == 6
+    for _ in range(2):  # none: a mesh without vertices
+        viewport.mask_rows(host, gone[:0], places[:0])
+        assert len(cloud(host)) == 8
+    viewport.mask_rows(host, gone, places)
     viewport.set_masks_shown([host], False)
     assert len(cloud(host)) == 8
     assert viewport.restore()

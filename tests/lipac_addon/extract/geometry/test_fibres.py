@@ -164,6 +164,15 @@ def test_curves_and_points_are_instances_like_others() -> None:
     ]
 
 
+@pytest.mark.parametrize("kind", ["hair_curves", "pointclouds", "meshes"])
+def test_what_has_no_points_shows_nothing(kind: str) -> None:
+    """An object of curves, points or a mesh without any, as Blender adds it."""
+    data = getattr(bpy.data, kind).new("nothing")
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("nothing", data))
+    add("other", cube("other"))
+    assert [len(mesh.triangles) for mesh in extract_frame(bpy.context.scene).scene.meshes] == [12]
+
+
 def test_hair_of_what_is_nowhere_is_left_out_with_it() -> None:
     """A transform that is not finite: the object is left out, and that is said."""
     ob = grown()

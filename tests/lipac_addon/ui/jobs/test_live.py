@@ -236,6 +236,41 @@ def test_edit_mode_is_waited_out(watched):
     assert "wall" in kept()
 
 
+def test_edit_mode_that_is_overlooked_is_waited_out_too(watched, monkeypatch):
+    """Blender gives out no positions of what is edited, nor of what another object makes of it."""
+    monkeypatch.setattr(live.session, "is_edited", lambda: False)
+    wall, host = bpy.data.objects["wall"], link(points("host", 8), at=(0, -2, 0))
+    wall.modifiers.new("bevel", "BEVEL")
+    scatter(host, wall)
+    host.modifiers[0].node_group.nodes["Object Info"].inputs["As Instance"].default_value = False
+    wall.hide_render = True
+    edit(lambda: None)
+    settle()
+    seen = kept()
+    bpy.context.view_layer.objects.active = wall
+    edit(lambda: bpy.ops.object.mode_set(mode="EDIT"))
+    settle()
+    assert "'host' shows a mesh that is in Edit Mode" in live.current.error
+    edit(lambda: bpy.ops.object.mode_set(mode="OBJECT"))
+    settle()
+    assert (live.current.error, kept()) == ("", seen)
+
+
+@pytest.mark.parametrize("kind", ["hair_curves", "pointclouds", "meshes"])
+def test_what_has_no_points_comes_and_goes(watched, kind):
+    """Curves, points and meshes that are added empty, or emptied."""
+    settle()
+    seen = kept()
+    ob = bpy.data.objects.new("nothing", getattr(bpy.data, kind).new("nothing"))
+    edit(lambda: link(ob))
+    settle()
+    assert (live.current.error, kept()) == ("", seen)
+    ob.modifiers.new("nodes", "NODES").node_group = bpy.data.node_groups.new("nothing", "GeometryNodeTree")
+    edit(bpy.data.objects["box0"].data.clear_geometry)
+    settle()
+    assert (live.current.error, "box0" in kept()) == ("", False)
+
+
 def test_a_scatter_that_changes(watched):
     """Rows come and go, and their source."""
     source = link(triangle("source"), at=(0, 9, 0))
