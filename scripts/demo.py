@@ -16,7 +16,7 @@ def main(argv: Sequence[str]) -> int:
     from .command.arguments import count, seed_number
     from .command.interrupt import ctrl_c
     from .command.options import Parser
-    from .command.streams import say
+    from .command.streams import progress_of, say
 
     parser = Parser(
         prog="lipac demo",
@@ -43,7 +43,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument(
         "--seed", type=seed_number, default=0, metavar="S", help="the same seed gives the same scene (default: 0)"
     )
-    parser.add_argument("--quiet", action="store_true", help="print nothing")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
     args = parser.parse_args(argv)
     if args.output.suffix.lower() != ".blend":
         raise InputError(f"-o {args.output}: the name of the file must end in .blend")
@@ -52,21 +52,22 @@ def main(argv: Sequence[str]) -> int:
     output_folder(args.output.parent)
     from ..lipac_addon.console import muted
 
-    with ctrl_c() as cancelled, muted():
+    with progress_of(args.quiet) as progress, ctrl_c() as cancelled, muted():
+        progress(0.0, "building the scene")
         from ..lipac_addon.batch.baked import save_copy
         from ..lipac_addon.demo import build
 
         build(args.name, args.instances, args.seed, args.figure)
         if cancelled():
             raise Cancelled
+        progress(0.7, "saving the file")
         try:
             save_copy(args.output)
         except RuntimeError as error:
             raise OSError(
                 errno.EIO, str(error).strip().removeprefix("Error: ").splitlines()[0], str(args.output)
             ) from error
-    if not args.quiet:
-        say(str(args.output), sys.stdout)
+    say(str(args.output), sys.stdout)
     return 0
 
 

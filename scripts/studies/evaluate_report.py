@@ -98,13 +98,13 @@ def plots(summary: Summary) -> dict[str, Figure]:
             figure.subplots(1, 2), ("mean", "flip"), ("mean relative change of tiles", "HDR-FLIP"), strict=True
         ):
             for policy, (color, style) in STYLE.items():
-                # a line goes from setting to setting: by what is kept, which seconds follow but roughly
+                # a line goes from setting to setting, by what is kept: seconds follow that but roughly
                 rows = sorted((r for r in summary["rows"] if r["policy"] == policy), key=lambda r: r["active"])
                 if rows:
                     axes.plot(
                         [cost(r) for r in rows],
                         [max(r[key], 1e-5) for r in rows],
-                        style,
+                        style[0] if name == "time" else style,
                         color=color,
                         label=policy,
                         markersize=5,
