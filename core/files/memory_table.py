@@ -74,13 +74,13 @@ def write_rows(folder: Path, rows: Sequence[MemoryRow]) -> None:
         values = [getattr(row, name) for name in COLUMNS]
         writer.writerow(["" if v is None else f"{v:.6g}" if isinstance(v, float) else v for v in values])
     with replacing(folder / NAME) as part:
-        part.write_text(text.getvalue())
+        part.write_text(text.getvalue(), encoding="utf-8")
 
 
 def read_rows(folder: Path) -> list[MemoryRow]:
     """What `write_rows` wrote; nothing where there is no such file, or another kind of file."""
     try:
-        with (folder / NAME).open(newline="") as file:
+        with (folder / NAME).open(newline="", encoding="utf-8") as file:
             table = list(csv.DictReader(file))
         return [MemoryRow(**{name: _value(name, row[name]) for name in COLUMNS}) for row in table]
     except (OSError, ValueError, KeyError, TypeError, csv.Error):

@@ -52,7 +52,7 @@ def own_folders(parent: Path) -> list[Path]:
 def kernel_sources(core: Path) -> list[Path]:
     """Modules below the folder core that compile kernels, and all that these import from it: their constants become
     part of the kernels. Sorted."""
-    text = {path: path.read_text() for path in core.rglob("*.py")}
+    text = {path: path.read_text(encoding="utf-8") for path in core.rglob("*.py")}
     found: set[Path] = set()
     pending = [
         path for path, source in text.items() if re.search(r"^\s*@(njit|cfunc|intrinsic)\b", source, re.MULTILINE)

@@ -144,6 +144,8 @@ def set_hidden(objects: list[bpy.types.Object], hidden: bool, in_render: bool = 
     place = {ob: i for i, ob in enumerate(bpy.data.objects)}
     values[[place[ob] for ob in objects]] = hidden
     assigned = [ob for ob in objects if ob.library or (ob.override_library and not in_render)]
+    if not in_render:
+        assigned.append(objects[0])  # has Blender find out what its view layers show, in time for a render that begins
     for ob in assigned:
         ob.hide_render = hidden
     free = np.array([not ob.is_property_readonly("hide_render") for ob in bpy.data.objects])

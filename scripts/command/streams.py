@@ -62,7 +62,7 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield silent
         return
-    stream = os.fdopen(os.dup(2), "w")
+    stream = os.fdopen(os.dup(2), "w", errors="backslashreplace")  # as stderr itself
     try:
         with Terminal(stream) as terminal:
             yield terminal

@@ -101,6 +101,7 @@ def cull_frame(scene: bpy.types.Scene) -> None:
         if (owner == scene and frame in frames_of(scene) and not multi_view) or scenes_in_picture(scene):
             return
         _held = what_is_applied()
+        restore()  # of one scene alone as outside of a render: Blender has evaluated it without what was hidden
     result = None if multi_view else results.at(scene)
     if _held is not None and _held.uid == scene.session_uid and frame in _held.frames and not multi_view:
         apply(scene, _held.result, in_render=True)

@@ -1,6 +1,11 @@
 """memory.csv: what is written is read again, one row for each thing."""
 
 import dataclasses
+import os
+import subprocess
+import sys
+
+import pytest
 
 from lipac.core.files.memory_table import COLUMNS, MemoryRow, merged, read_rows, write_rows
 from lipac.core.files.report import Report
@@ -67,3 +72,16 @@ def test_beside_the_report_of_all_commands_that_fill_a_folder(tmp_path):
     anew.add_frame({"frame": 1}, memory=[other(name="new")])
     anew.write(tmp_path)
     assert [row.name for row in read_rows(tmp_path)] == ["new"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the locale is asked for by variables")
+def test_any_name_is_written_whatever_the_locale(tmp_path):
+    """Where text is ASCII unless it is said: kernels' sources are read, rows written and read."""
+    code = (
+        "import sys, pathlib, locale; assert locale.getencoding() != 'utf-8'; "
+        "from lipac.tests.core.files.test_memory_table import other, read_rows, write_rows; "
+        "folder, row = pathlib.Path(sys.argv[1]), other(name='W\\xfcrfel \\u2603'); "
+        "write_rows(folder, [row]); sys.exit(read_rows(folder) != [row])"
+    )
+    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], env=os.environ | plain, check=True)

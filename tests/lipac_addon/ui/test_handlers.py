@@ -81,6 +81,25 @@ def test_what_is_applied_stays_so(analyzed, seen, hidden):
     assert hidden() == FAR
 
 
+def test_what_is_applied_is_in_no_other_frame(analyzed, hidden, tmp_path):
+    """The picture has what is hidden for the frame before, although Blender has evaluated the scene without it."""
+    for name in ("wall", "box0", "box1", "box2", "box3"):
+        bpy.data.objects[name].hide_render = True
+    analyzed.render.image_settings.file_format = "PNG"
+    pictures = []
+    for on in (False, True):
+        if on:
+            analyzed.frame_set(1)
+            bpy.ops.lipac.apply()
+        analyzed.lipac.use_for_renders = on
+        analyzed.frame_set(2)
+        analyzed.render.filepath = str(tmp_path / f"{on}.png")
+        bpy.ops.render.render(write_still=True)
+        pictures.append(read_picture(tmp_path / f"{on}.png"))
+    np.testing.assert_array_equal(*pictures)
+    assert hidden() >= FAR
+
+
 def test_analysis_while_culling_for_renders_is_on(analyzed, hidden):
     analyzed.lipac.use_for_renders = True
     assert bpy.ops.lipac.analyze() == {"FINISHED"}

@@ -104,3 +104,18 @@ def test_ctrl_c_ends_a_demo(tmp_path: Path) -> None:
     assert done.returncode == 130
     assert done.stderr.endswith("stopped; finished frames and their report are kept\n")
     assert not list(tmp_path.iterdir())
+
+
+def test_progress_goes_on_after_what_a_terminal_cannot_show() -> None:
+    """A view layer's name, say, where streams are ASCII."""
+    code = (
+        "from lipac.scripts.command.streams import progress_of\n"
+        "with progress_of(False) as told:\n"
+        "    told.interval = 0.0\n"
+        "    for what in ('\\u2603', 'more'):\n"
+        "        told(0.5, what)\n"
+    )
+    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-c", code]
+    said = subprocess.run(command, env=os.environ | plain, check=True, capture_output=True, text=True).stderr
+    assert "\\u2603" in said and "more" in said
