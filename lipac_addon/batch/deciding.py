@@ -19,6 +19,7 @@ from ...core.files.report import States, save_states
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import RAY_TYPES
 from ..extract import Extraction
+from ..extract.graph import GEOMETRY_TYPES
 from ..keys import KEY, Keys
 from ..memory.rows import NOTHING_KEPT, Weighed
 from ..writeback.levels import levels_of
@@ -120,8 +121,8 @@ def decide_layers(
     """Decide a frame by what each view layer needs: an instance that one of them needs stays. last: as in `run_frame`;
     decide: what each layer is asked, at all moments of the frame, by default which instances stay.
 
-    Where no layer shows anything that light paths can be traced in, but something all the same, nothing is culled.
-    Raises NothingToAnalyse, Cancelled.
+    Where no layer shows anything that light paths can be traced in, nothing is culled. Raises NothingToAnalyse where
+    the scene has nothing that another frame could show, either; Cancelled.
     """
     parts, shown = [], dict[str, None]()
     for k, session in enumerate(sessions):
@@ -150,9 +151,10 @@ def decide_layers(
         del result  # and what it has built
         if last:
             session.forget()
-    if not parts and not shown:
-        raise NothingToAnalyse
     if not parts:
+        why = NothingToAnalyse([*shown])
+        if not shown and not any(ob.type in GEOMETRY_TYPES or ob.is_instancer for ob in bpy.context.scene.objects):
+            raise why
         nothing = (
             np.zeros(0, np.uint8),
             np.zeros(0, np.float32),
@@ -165,7 +167,7 @@ def decide_layers(
             (),
             {"frame": frame},
             tuple(shown),
-            (str(NothingToAnalyse([*shown])) + "; all is rendered",),
+            (f"frame {frame}: {why}; all is rendered",),
         )
     return parts[0] if len(parts) == 1 else _united(parts)
 

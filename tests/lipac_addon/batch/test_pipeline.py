@@ -38,6 +38,21 @@ def test_visibility_is_put_back(boxes, tmp_path):
     assert json.loads((tmp_path / "report.json").read_text())["frames"] == json.loads(json.dumps(r.frames))
 
 
+@pytest.mark.parametrize("bake", [FRAME, SHOT])
+def test_a_frame_that_shows_nothing_is_rendered_as_it_is(boxes, tmp_path, bake):
+    """Between others, whose sets it leaves alone."""
+    for ob in [ob for ob in bpy.data.objects if ob.type == "MESH"]:
+        for frame in (1, 2, 3):
+            ob.hide_render = frame == 2
+            ob.keyframe_insert("hide_render", frame=frame)
+    r = report()
+    run(Job(tmp_path, (1, 2, 3), CullOptions(paths=2), "cycles", samples=1, bake=bake), r)
+    assert [frame.get("active") for frame in r.frames] == [6, 0, 6]
+    assert [line for line in r.warnings if line.startswith("frame 2: nothing to render")]
+    picture = read_picture(tmp_path / "frame_0002.exr")[..., :3]
+    assert (picture == picture[0, 0]).all() and (picture > 0).all()  # the world alone
+
+
 def test_what_cannot_be_removed_is_a_warning(boxes, tmp_path):
     bpy.data.objects["box5"].keyframe_insert("hide_render", frame=1)
     r = report()

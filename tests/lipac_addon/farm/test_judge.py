@@ -18,23 +18,23 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def fog(rising: Path, tmp_path: Path) -> FarmShot:
-    """A shot of two frames, of which the second shows nothing but a volume."""
+    """A shot of three frames, of which the second shows nothing but a volume, and the third nothing."""
     open_scene(rising)
-    for ob in [ob for ob in bpy.data.objects if ob.type == "MESH"]:
-        for frame in (1, 2):
-            ob.hide_render = frame == 2
-            ob.keyframe_insert("hide_render", frame=frame)
     bpy.context.scene.collection.objects.link(bpy.data.objects.new("fog", bpy.data.volumes.new("fog")))
+    for ob in [ob for ob in bpy.data.objects if ob.type in ("MESH", "VOLUME")]:
+        for frame in (1, 2, 3):
+            ob.hide_render = frame == 3 or (frame == 2 and ob.type == "MESH")
+            ob.keyframe_insert("hide_render", frame=frame)
     path = tmp_path / "fog.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    return write_shot(tmp_path / "shot", path, Wanted((1, 2), Budget(0.05, 0.3), 4))
+    return write_shot(tmp_path / "shot", path, Wanted((1, 2, 3), Budget(0.05, 0.3), 4))
 
 
 def test_where_nothing_can_be_traced_nothing_holds_and_no_step_ends(fog: FarmShot) -> None:
-    """Of such a frame paths say nothing, neither that the set holds nor how far; of the others what they say."""
-    assert analyse.analyse(fog, fog.frames) == 2
+    """Of such frames paths say nothing, neither that the set holds nor how far; of the others what they say."""
+    assert analyse.analyse(fog, fog.frames) == 3
     unite.unite(fog)
     told = judge.judge(fog, fog.frames)
-    assert [(one["frame"], one["holds"]) for one in told] == [(1, True), (2, False)]
-    assert [{one[name] is None for name in judge.FIGURES} for one in told] == [{False}, {True}]
+    assert [(one["frame"], one["holds"]) for one in told] == [(1, True), (2, False), (3, False)]
+    assert [{one[name] is None for name in judge.FIGURES} for one in told] == [{False}, {True}, {True}]
     assert judge.of_frames(fog, fog.frames) == told
