@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 
 from lipac.lipac_addon.extract.materials import nodes, shaders
+from lipac.lipac_addon.extract.materials.reader import WORTHLESS
 
 from .architecture_page import ROOT, filled
 
@@ -19,7 +20,7 @@ PAGE = ROOT / "docs" / "supported.md"
 SAID = re.compile(
     r"not rendered|rendered (as|by|with)|replaced by|: half|left out|taken for|taken to be|not drawn|"
     r"no lines are|was looked at|not run|alone is rendered|of one moment|as they come out|are combined|"
-    r"picture is of|one view is|whole picture is|: black|may differ"
+    r"picture is of|one view is|whole picture is|: black|may differ|is taken to be worth"
 )
 _REPORTS = {"report", "doubt"}  # functions that take a line for `approximated`
 _PLACES = ("lipac_addon/extract", "lipac_addon/batch/engines/wishes.py")
@@ -89,7 +90,8 @@ def _nodes() -> str:
 
 def approximations() -> list[str]:
     """Lines that `approximated` may hold; … stands for a name or a number."""
-    return sorted({text for path in _files(_PLACES) for text in _texts(path) if SAID.search(text)} - {""})
+    said = {text for path in _files(_PLACES) for text in _texts(path) if SAID.search(text)}
+    return sorted(text for text in said if not text.startswith((":", " ")))  # what other lines end with
 
 
 def reported() -> set[str]:
@@ -133,12 +135,19 @@ def _texts(path: Path) -> Iterator[str]:
 
 
 def template(node: ast.AST) -> str:
-    """The text of a literal, with … for what is filled in; "" of all else."""
+    """The text of a literal, with … for what is filled in; "" of all else, and of an ending by itself."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        return node.value
+        return "" if node.value == WORTHLESS else node.value
     if isinstance(node, ast.JoinedStr):
-        return "".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values)
+        return "".join(map(_part, node.values))
     return ""
+
+
+def _part(part: ast.expr) -> str:
+    if isinstance(part, ast.Constant):
+        return str(part.value)
+    value = getattr(part, "value", None)
+    return WORTHLESS if isinstance(value, ast.Name) and value.id == "WORTHLESS" else "…"
 
 
 def _listed(lines: list[str]) -> str:
