@@ -184,6 +184,7 @@ class RenderGraph:
         self.scene = scene
         self.layer = view_layer or next(iter(rendered_layers(scene)), scene.view_layers[0].name)
         self._held: ExitStack | None = None
+        self.freestyle = False  # whether renders of the scene draw its lines
 
     def evaluate(self, callback: Callable[[Any, bool], T], keep: bool = True) -> T:
         """Calls `callback(depsgraph, goes_on)` with the graph at the scene's current frame, and returns what it
@@ -216,6 +217,7 @@ class RenderGraph:
 
     def _hold(self, keep: bool) -> None:
         render = self.scene.render
+        self.freestyle = render.use_freestyle
         with ExitStack() as stack:
             stack.enter_context(_registered())
             stack.enter_context(no_new_images())

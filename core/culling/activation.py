@@ -35,7 +35,7 @@ class Activation:
     """
 
     def __init__(self, scene: Scene, pinned: np.ndarray | None = None) -> None:
-        """Everything is culled, but pinned, (N,) bool."""
+        """Everything is culled, but pinned, (N,) bool, and what stays in any case."""
         count = len(scene.instances)
         self.active, self.kept, self.value = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, np.float32)
         self.known: np.ndarray | None = None
@@ -44,7 +44,7 @@ class Activation:
         self._shown = np.zeros(0, np.int32)  # large instances in view
         self._requests: tuple[Cut, I64] | None = None  # boxes of the last round, and how often they were crossed
         self._opened: list[np.ndarray] = []  # instances that are active for a witness alone
-        self._pin(pinned)
+        self._pin(_either(pinned, scene.stays))
 
     def __len__(self) -> int:
         return len(self.active)
@@ -58,7 +58,7 @@ class Activation:
             self._move(scene.instances.bounds, change.moved)
         else:
             self._carry(scene.instances.bounds, change.previous)
-        self._pin(pinned)
+        self._pin(_either(pinned, scene.stays))
 
     def divide(self, scene: Scene) -> None:
         """Go on with the scene after meshes were divided: parts are instances behind the others, and what was divided
@@ -212,3 +212,8 @@ def _all_but(share: F64, tile: I32, tolerated: float) -> np.ndarray:
     out = np.zeros(len(share), bool)
     out[order] = upto - before > tolerated
     return out
+
+
+def _either(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
+    """What one of two masks names, where there is any."""
+    return b if a is None else a if b is None else a | b

@@ -183,12 +183,12 @@ class FrameTracer:
         """The scene where no emitter outside keep (N,) bool gives light: by default all do, also those that are not
         built, so that they are noticed. prepared: the scene with other lights."""
         prepared = prepared or self.prepared
-        emissive, flags = prepared.emissive, self.scene.instances.flags
+        emissive, instances = prepared.emissive, prepared.scene.instances
         if keep[emissive].all():
             return prepared
-        flags = flags.copy()
+        flags = instances.flags.copy()
         flags[emissive[~keep[emissive]]] = 0
-        return prepared.with_instances(dataclasses.replace(self.scene.instances, flags=flags))
+        return prepared.with_instances(dataclasses.replace(instances, flags=flags))
 
     def known_light(self, tlas: Tlas, keep: np.ndarray, samples: int, picture: F32) -> F64:
         """(T,) `known_share` of a picture of keep, (N,) bool, which tlas holds, by the samples from 0 on."""

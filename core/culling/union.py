@@ -130,7 +130,8 @@ def check(
         stats = result.stats | exchange.figures | {"levels": len(levels)}
         mesh = loop.scene.instances.mesh
         result = replace(result, stats=stats, stand_ins={int(mesh[rows[0]]): level.what for rows, level in levels})
-    may = whole or not loop.scene.whole
+    lacks = bool((loop.activation.pinned[: len(keep)] & ~keep).any())
+    may = whole or not (loop.scene.whole or lacks)
     return Check(may and estimate.surely_holds(loop.options.max_error, judge.each), result)
 
 

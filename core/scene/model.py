@@ -149,6 +149,8 @@ MATERIAL = np.dtype(
         # 1: how much it emits is not known; `emission` is the most that it may be
         ("unsure_emission", "u4"),
         ("sure", "f4"),  # share of `base_color` that is surely there: places may be darker than is thought
+        # what is within so many metres changes what it looks like, by nodes that look around; 0: by light alone
+        ("reach", "f4"),
         # of MIX and BY_RAY: rows of two materials, never in a cycle; emission there is the brightest of theirs
         ("parts", "i4", (2,)),
     ],
@@ -296,11 +298,15 @@ class PathLimits:
     fast_gi: int = 0
     fast_reach: float = 0.0
     fast_factor: float = 1.0
+    world: int = 1024  # bounces after which light sampling leaves the world out
 
 
 @dataclass(frozen=True)
 class Film:
-    """Size in pixels, pixel filter as in Cycles, exposure; `transparent`: the world is not seen by the camera."""
+    """Size in pixels, pixel filter as in Cycles, exposure; `transparent`: the world is not seen by the camera.
+
+    glass: nor, where that is so, through what refracts by a roughness (GGX's alpha) of so much; below 0: there it is.
+    """
 
     width: int
     height: int
@@ -308,6 +314,7 @@ class Film:
     filter_width: float = 1.5  # pixels
     exposure: float = 1.0
     transparent: bool = False
+    glass: float = -1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +343,8 @@ class Scene:
     approximated: one line per thing that the engine renders differently from Blender.
     first_hits: what camera rays meet, where it is known from elsewhere, by width and height of the picture: paths of
     such a picture start there. shutter: the camera at evenly spaced moments of an exposure, of which each path takes
-    one at random; none: it stands still. whole: why nothing may be culled by light paths, in words; "": it may.
+    one at random; none: it stands still. whole: why nothing may be culled by light paths, in words; "": it may. stays:
+    (N,) bool, instances that the picture shows by other things than light; None: none.
     simplifiable: (M,) bool, meshes that may be exchanged for simplified ones; None: none. coarser: meshes that can be
     had with fewer triangles.
     """
@@ -359,6 +367,7 @@ class Scene:
     shutter: tuple[Camera, ...] = ()
     render_costs: RenderCosts | None = None
     whole: str = ""
+    stays: NDArray[np.bool_] | None = None
     simplifiable: NDArray[np.bool_] | None = None
     coarser: CoarserMeshes | None = None
 

@@ -54,6 +54,7 @@ from .path_state import (
     I_STRATEGY,
     I_TRANSPARENT,
     I_TRANSPARENT_SHADOWS,
+    I_WORLD,
     LIGHT_ONLY,
     MAYBE,
     NO_PART,
@@ -235,6 +236,8 @@ def add_direct_light(s, w, mesh, m, triangle, tr, tg, tb, u, u0, u1, bounce, tra
         instance = w.chosen[0]
         visibility = np.int64(load_u8(s.table[T_FLAGS], instance))
     elif kind == WORLD:
+        if bounce > s.settings[I_WORLD]:
+            return
         visibility = np.int64(s.lights[L_WORLD_VISIBILITY])
     else:
         if bounce > np.int64(k[27]):

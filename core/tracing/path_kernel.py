@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from ..accel.embree import HIT_U, HIT_V, PRIM_ID, TFAR
-from ..jit.pointers import load_u8, load_u32
+from ..jit.pointers import load_f32, load_u8, load_u32
 from ..jit.sampling import INNER, mix, normalize, power_heuristic, uniform2
 from ..scene.model import VIEWS, InstanceFlag, RayType, Shader, Unsure
 from .bsdf.lobes import (
@@ -28,6 +28,7 @@ from .bsdf.lobes import (
     NO_REFLECTIVE_CAUSTICS,
     NO_REFRACTIVE_CAUSTICS,
     O_PDF,
+    O_ROUGHNESS,
     O_WEIGHT,
     REFLECT,
     SINGULAR,
@@ -53,6 +54,7 @@ from .lights.light_sampling import (
 )
 from .materials import (
     M_MIS,
+    M_REACH,
     M_SHADER,
     M_UNSURE,
     apply_normal_map,
@@ -64,12 +66,22 @@ from .materials import (
     part_of,
     transmits_shadow,
 )
-from .path_feedback import add_light, add_worth, count_hit, record_vertex
-from .path_rays import coincident, count_boxes, entry_of, intersect, looks_for_coincident, set_ray, start_at_hit
+from .path_feedback import add_light, add_worth, count_hit, luminance_of, record_vertex
+from .path_rays import (
+    coincident,
+    count_boxes,
+    entry_of,
+    intersect,
+    look_around,
+    looks_for_coincident,
+    set_ray,
+    start_at_hit,
+)
 from .path_state import (
     BOTH,
     CLEAR,
     COINCIDENT,
+    I_CATCHERS,
     I_DIFFUSE,
     I_FAST_GI,
     I_GLOSSY,
@@ -95,6 +107,7 @@ from .path_state import (
     V_FAST_FACTOR,
     V_FAST_REACH,
     V_FILTER_GLOSSY,
+    V_GLASS,
 )
 from .surface import T_FLAGS, T_TRANSFORM, face, interpolate, mesh_record, offset_origin
 
@@ -219,7 +232,9 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
                 count_hit(s, instance, ray_type)
                 if s.weights != np.uint64(0) or s.log != np.uint64(0):
                     record_vertex(s, w, entry, tr, tg, tb)
-                if through and s.weights != np.uint64(0):
+                # before a catcher it shows, which shows nothing of its own where it goes
+                seen = background and s.settings[I_CATCHERS] != 0
+                if (through or seen) and s.weights != np.uint64(0):
                     add_worth(s, w, entry, FAR)
         triangle = np.int64(load_u32(w.ray_words, PRIM_ID))
         b1, b2 = w.ray[HIT_U], w.ray[HIT_V]
@@ -252,6 +267,8 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         unsure = load_u32(material + M_UNSURE, 0)
         if unsure & _CLEAR and watched and s.weights != np.uint64(0) and not first:
             add_worth(s, w, entry_of(s, w.ray_words), FAR)
+        if watched and load_f32(material + M_REACH, 0) > _ZERO:
+            look_around(s, w, key, dimension, load_f32(material + M_REACH, 0), count, luminance_of(tr, tg, tb))
         if looks and not first:
             entry = entry_of(s, w.ray_words)
             other = coincident(s, w, instance, ray_type)
@@ -346,7 +363,8 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
                 last = last or glossy > s.settings[I_GLOSSY]
                 ray_type = np.int64(_GLOSSY_RAY)
         elif label & TRANSMIT:
-            background = False
+            rough = _ZERO if label & SINGULAR else np.float32(w.out[O_ROUGHNESS])
+            background = background and label & DIFFUSE == 0 and rough <= s.limits[V_GLASS]
             transmission += 1
             last = last or transmission > s.settings[I_TRANSMISSION]
             ray_type = np.int64(_TRANSMISSION_RAY)

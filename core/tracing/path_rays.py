@@ -4,9 +4,14 @@ Surfaces of two instances may lie in one plane: a decal on its wall at no distan
 neither properly: which of them a ray meets, and whether one shadows the other, is chance. Where one goes, the other
 looks different, though paths may have met but one of them. Instances that lie exactly where another one does are found
 by their boxes (core.scene.twins); those that share a plane, by short rays at what paths meet.
+
+Shaders may ask what is around a surface (Ambient Occlusion, Raycast): what that does to its look nobody knows, so rays
+look around where paths meet such a surface, and what these find stays.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numba import carray, njit
@@ -33,18 +38,22 @@ from ..accel.embree import _intersect1 as rtc_intersect
 from ..accel.hitboxes import QUERY, count_crossings
 from ..jit.atomics import pointer
 from ..jit.pointers import load_f32, load_i32, load_u32, u32_pointer
-from ..jit.sampling import INNER, mix
-from ..scene.model import RAY_TYPES
+from ..jit.sampling import INNER, mix, uniform2
+from ..scene.model import ALL_RAYS, RAY_TYPES, RayType
 from .bsdf.lobes import F_NG
+from .lights.lamps import FAR
 from .lights.light_sampling import triangle_edges
-from .surface import S_ERROR, S_P, T_TRANSFORM, interpolate, mesh_record
+from .path_feedback import add_worth, count_hit, credit_unbuilt
+from .path_state import I_HITBOX_NEAREST, RAYS, V_AMBIENT
+from .surface import S_ERROR, S_P, T_TRANSFORM, interpolate, mesh_record, offset_origin
 
-_ZERO, _TWO = np.float32(0.0), np.float32(2.0)
+_ZERO, _ONE, _TWO, _TURN = map(np.float32, (0.0, 1.0, 2.0, 2 * math.pi))
 _INSTANCE_BYTES = np.uint64(48)
 # Exactly flat ground at 0 has no error to move by: a hit at distance 0 must not count.
 _NEAR = np.float32(1e-30)
 _EVERY = np.uint64(7)  # paths look where these bits of their key are 0: one in eight
-_SALT = np.uint64(0x636F706C616E6172)
+_SALT, _AROUND = np.uint64(0x636F706C616E6172), np.uint64(0x61726F756E64)
+_SHADOW, _ALL = np.int64(RayType.SHADOW), np.uint32(ALL_RAYS)
 _REACH = np.float32(2.0)  # times the bound of a hit's error: this tracer's error, and that of a renderer
 _PARALLEL = np.float32(0.99)  # cosine between normals: at less, surfaces cross in a line, which is no area
 
@@ -142,3 +151,31 @@ def coincident(s, w, instance, ray_type):
     if not along * along > _PARALLEL * _PARALLEL * (mx * mx + my * my + mz * mz):
         return np.int64(-1)
     return entry
+
+
+@njit(**INNER)
+def look_around(s, w, key, dimension, reach, count, carried):
+    """Look in a direction, any one, for what lies within reach of a surface whose look depends on it: it stays. w.surf,
+    w.frame: of the hit. count: count the hitboxes on the way, for which the path carried so much luminance. Overwrites
+    w.shadow."""
+    u0, u1 = uniform2(mix(key + _AROUND), dimension)
+    dz = _ONE - _TWO * u0
+    r = math.sqrt(max(_ONE - dz * dz, _ZERO))
+    dx, dy = r * math.cos(_TURN * u1), r * math.sin(_TURN * u1)
+    ox, oy, oz = offset_origin(w.surf, w.frame, dx, dy, dz)
+    set_ray(w.shadow, w.shadow_words, ox, oy, oz, dx, dy, dz, reach, _SHADOW)
+    u32_pointer(w.shadow_words)[MASK] = _ALL
+    w.stats[RAYS] += 1
+    hit = intersect(s.tlas, w.shadow_words)
+    if count:
+        t = w.shadow[TFAR] if hit else reach
+        crossed = count_boxes(
+            s.hitboxes, s.counters, s.counters_length, w.query, w.shadow_words, t, _SHADOW, s.settings[I_HITBOX_NEAREST]
+        )
+        if crossed > 0 and s.weights != np.uint64(0):
+            credit_unbuilt(s, w, carried * s.limits[V_AMBIENT])
+    if hit:
+        entry = entry_of(s, w.shadow_words)
+        count_hit(s, np.int64(s.ids[entry]), _SHADOW)
+        if s.weights != np.uint64(0):
+            add_worth(s, w, entry, FAR)

@@ -22,19 +22,20 @@ from .surface import SURF
 (
     I_WIDTH, I_HEIGHT, I_FIRST_SAMPLE, I_SAMPLES, I_SEED, I_TOTAL, I_DIFFUSE, I_GLOSSY, I_TRANSMISSION, I_TRANSPARENT,
     I_REFLECTIVE, I_REFRACTIVE, I_SHADING, I_TRANSPARENT_FILM, I_TRANSPARENT_SHADOWS, I_HITBOX_EVERY, I_HITBOX_NEAREST,
-    I_STRATEGY, I_LAMPS_KNOWN, I_CAMERAS, I_WEIGHED_FROM, I_UNBUILT, I_FAST_GI
-) = range(23)
+    I_STRATEGY, I_LAMPS_KNOWN, I_CAMERAS, I_WEIGHED_FROM, I_UNBUILT, I_FAST_GI, I_WORLD,
+    I_CATCHERS
+) = range(25)
 # I_WEIGHED_FROM: `Weights.first`; I_UNBUILT: the number that stands for boxes in records and weights, -1 for none
-SETTINGS = 23
+SETTINGS = 25
 BOTH, LIGHT_ONLY, BSDF_ONLY = 0, 1, 2  # I_STRATEGY: for tests, all agree in the mean
 
 # limits, float32[LIMITS]: clamps (sum over channels, FAR where off), inverse of filter glossy (0: off), exposure, world
 # colour
-# (3), for weights (feedback.Weights) mean luminance of the picture and fixed-point units to one of luminance, and Fast
-# GI's reach and factor
+# (3), for weights (feedback.Weights) mean luminance of the picture and fixed-point units to one of luminance, Fast GI's
+# reach and factor, and the film's glass
 V_CLAMP_DIRECT, V_CLAMP_INDIRECT, V_FILTER_GLOSSY, V_EXPOSURE, V_WORLD, V_AMBIENT, V_UNITS = 0, 1, 2, 3, 4, 7, 8
-V_FAST_REACH, V_FAST_FACTOR = 9, 10
-LIMITS = 11
+V_FAST_REACH, V_FAST_FACTOR, V_GLASS = 9, 10, 11
+LIMITS = 12
 
 # Parts of the light of paths that start at raster hits, float32[PARTS] per pixel. Emission and background seen at the
 # first hit; light of lamps from their own sampling or from the path's next ray at the first hit, free of what is built:

@@ -22,7 +22,7 @@ from ..progress import Progress, silent
 from ..scene.camera import camera_constants
 from ..scene.change import Change
 from ..scene.film import Picture, filter_offsets
-from ..scene.model import Instances, Scene, Shader
+from ..scene.model import InstanceFlag, Instances, Scene, Shader
 from ..threads import processors, start
 from . import path_state as state
 from .bsdf.lobes import SHADING_FLAGS
@@ -277,6 +277,8 @@ def _settings(
         state.I_CAMERAS: max(len(scene.shutter), 1),
         state.I_UNBUILT: -1,
         state.I_FAST_GI: limits.fast_gi,
+        state.I_WORLD: limits.world,
+        state.I_CATCHERS: bool((scene.instances.flags & InstanceFlag.SHADOW_CATCHER).any()),
     }.items():
         settings[slot] = value
     values = np.zeros(state.LIMITS, np.float32)
@@ -286,6 +288,7 @@ def _settings(
     values[state.V_EXPOSURE] = scene.film.exposure
     values[state.V_WORLD : state.V_WORLD + 3] = scene.world.color
     values[state.V_FAST_REACH], values[state.V_FAST_FACTOR] = limits.fast_reach, limits.fast_factor
+    values[state.V_GLASS] = scene.film.glass
     return settings, values
 
 

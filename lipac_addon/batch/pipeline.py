@@ -25,6 +25,7 @@ from .job import SHOT, Cancel, Job, check, never
 from .session import sessions_of
 from .shot import run_shot
 
+REGION = "render region: the bounds are those of the whole picture; what is rendered of it alone may change by more"
 STEREO = "stereo: each view sees something else, and one camera is analysed: nothing is culled"
 _NAME = re.compile(r"frame_(-?\d+)(?:_[a-z]+)?")
 
@@ -40,7 +41,10 @@ def run(job: Job, report: Report, progress: Progress = silent, cancelled: Cancel
     finished = {frame for frame in reported or () if job.resume and job.is_finished(frame)}
     _sweep(job, keep_analyses=reported is not None and (job.resume or bool(job.shot)))
     report.note(report.approximated, left_out(bpy.context.scene, job.engine, job.as_scene))
-    if bpy.context.scene.render.use_multiview and (job.as_scene or not job.engine) and not job.whole:
+    render, by_scene = bpy.context.scene.render, (job.as_scene or not job.engine) and not job.whole
+    if render.use_border and by_scene:
+        report.note(report.warnings, [REGION])
+    if render.use_multiview and by_scene:
         job = replace(job, options=replace(job.options, policy=NOTHING))
         report.note(report.warnings, [STEREO])
     if job.engine == "cycles" and (note := find_device(bpy.context.scene, job.device).note):

@@ -24,6 +24,7 @@ from ..console import muted
 from ..depsgraph import rendered_layers
 from ..extract import Extraction, Extractor
 from ..extract.geometry.coarser import EvaluatedCoarser
+from ..extract.shutter import Passing, of_more_steps
 from ..keys import any_of
 from ..memory.limit import PROCESS, limited
 from ..memory.stakes import NothingToWin, stakes_of
@@ -111,17 +112,21 @@ class Session:
         extracted anew where there was anything to find out."""
         if not extraction.moments or self._extractor is None:
             return extraction
-        needed = []
+        needed, passing = [], Passing()
+        passing.add(0.0, extraction.keys, extraction.scene)
         for k, moment in enumerate(extraction.moments):
             with muted():
                 other = self._extractor.frame(frame, True, moment)
+            passing.add(moment, other.keys, other.scene)
             within = part(
                 progress, k / len(extraction.moments), (k + 1) / len(extraction.moments), f"{moment:+.2g} frames: "
             )
             needed.append(other.keys.records[(decide or Session.decided)(self, other, within, cancelled).active])
         with muted():
             extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
-        self._pinned = any_of(extraction.keys.records, needed)
+        keys = extraction.keys
+        self._pinned = any_of(keys.records, [*needed, *passing.found()])
+        self._pinned |= roles.instances_of(keys, of_more_steps(keys))
         return extraction
 
     def limit_memory(self, extraction: Extraction) -> Extraction:
@@ -182,7 +187,8 @@ def _by_rule(scene: Scene, options: CullOptions, pinned: np.ndarray | None) -> C
 
     start = time.perf_counter()
     keep = options.rule(scene) & existing(scene.instances.bounds)
-    keep |= False if pinned is None else pinned
+    for stays in (pinned, scene.stays):
+        keep |= False if stays is None else stays
     n, active = len(keep), int(np.count_nonzero(keep))
     meshes = len(np.unique(scene.instances.mesh[keep]))
     stats = {

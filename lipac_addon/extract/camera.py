@@ -23,8 +23,16 @@ def extract_film(scene: Any) -> Film:
     height = max(render.resolution_y * render.resolution_percentage // 100, 1)
     if cycles is None:
         return Film(width, height, transparent=render.film_transparent)
+    # as of Principled's roughness, which GGX squares
+    glass = cycles.film_transparent_roughness**2 if cycles.film_transparent_glass else -1.0
     return Film(
-        width, height, cycles.pixel_filter_type, cycles.filter_width, cycles.film_exposure, render.film_transparent
+        width,
+        height,
+        cycles.pixel_filter_type,
+        cycles.filter_width,
+        cycles.film_exposure,
+        render.film_transparent,
+        glass,
     )
 
 
@@ -50,6 +58,7 @@ def extract_limits(scene: Any) -> PathLimits:
         c.ao_bounces_render if fast else 0,
         ambient.distance if ambient is not None else 10.0,
         ambient.ao_factor if ambient is not None else 1.0,
+        world.cycles.max_bounces if world is not None else 1024,
     )
 
 
@@ -76,6 +85,16 @@ def far_from_origin(camera: Camera, film: Film, places: F64) -> list[str]:
         f"so far from the origin Blender rounds places to {step:.2g} m, and a pixel is {pixel:.2g} m: its picture is "
         "not the one that was analysed; move the scene to the origin"
     ]
+
+
+def what_draws_lines(depsgraph: Any, freestyle: bool) -> tuple[str, bool]:
+    """What draws lines of all that is in view, whatever light it gets, "" for nothing; and whether lines may come of
+    what is not in view, too. freestyle: whether the scene has it on."""
+    found = ["Freestyle"] if freestyle and depsgraph.view_layer_eval.use_freestyle else []
+    pencils = [item for item in depsgraph.ids if item.id_type == "OBJECT" and item.type == "GREASEPENCIL"]
+    art = [m for item in pencils for m in item.modifiers if m.type == "LINEART" and m.show_render]
+    elsewhere = any(m.light_contour_object is not None or m.use_custom_camera for m in art)
+    return " and ".join([*found, *(["Line Art"] if art else [])]), elsewhere
 
 
 def camera_matrix(camera: Any) -> F64:

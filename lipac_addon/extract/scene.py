@@ -11,6 +11,7 @@ import numpy as np
 from ...core.arrays import F32, I32, Records
 from ...core.errors import InputError, NothingToAnalyse
 from ...core.scene.change import Change
+from ...core.scene.frustum import View
 from ...core.scene.model import Scene, Unsure
 from ...core.scene.placing import scene_origin
 from ..depsgraph import STAND_IN
@@ -94,6 +95,17 @@ class Frame:
         if shutter.rolling:
             lines = (*lines, "rolling shutter not rendered: each row was looked at over the whole exposure")
         return replace(self, scene=replace(self.scene, shutter=cameras, approximated=lines), moments=shutter.moments)
+
+
+    def drawn(self, by: str, everywhere: bool) -> Frame:
+        """With what stays for its lines: what is in view, or all. by: what draws lines, "" for nothing."""
+        if not by:
+            return self
+        bounds, camera = self.scene.instances.bounds, self.scene.camera
+        shown = View.of(camera, lens=True).shows(bounds, np.full(len(bounds), np.inf), 0.0) | everywhere
+        line = f"{by} draws lines: {'all' if everywhere else 'what is in view'} stays"
+        scene = replace(self.scene, stays=shown, approximated=(*self.scene.approximated, line))
+        return replace(self, scene=scene)
 
 
 class SceneReader:

@@ -10,7 +10,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.tracing.second_process import share
 from ..depsgraph import RenderGraph, go_to, show_frame
-from .camera import NO_CAMERA
+from .camera import NO_CAMERA, what_draws_lines
 from .scene import Extraction, Frame, Look, SceneReader
 from .shutter import Shutter, read_shutter
 from .world import ExtractedWorld, baked_world, constant_world, fingerprint, world_of
@@ -117,6 +117,8 @@ class Extractor:
             number = depsgraph.scene_eval.frame_float  # perhaps between two frames
             self._shutter = read_shutter(depsgraph, frame.scene.film, lambda time: self._graph.move_to(number + time))
         frame = frame.exposed(self._shutter)
+        if self._whole:
+            frame = frame.drawn(*what_draws_lines(depsgraph, self._graph.freestyle))
         self.read_s = time.perf_counter() - start
         return frame, world, "" if world is not None else fingerprint(item, depsgraph.scene_eval.frame_current)
 

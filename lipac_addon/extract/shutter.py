@@ -5,12 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from typing import Any
 
+import bpy
 import numpy as np
 from mathutils import Matrix
+from numpy.typing import NDArray
 
-from ...core.scene.model import Camera, Film
+from ...core.arrays import F64, Records
+from ...core.scene.model import Camera, Film, Scene
+from ..keys import Keys, full_name, packed
 from .camera import extract_camera
 
 CAMERAS = 64  # of an exposure: a path takes one of them
@@ -66,6 +71,35 @@ def read_shutter(depsgraph: Any, film: Film, at: Callable[[float], None]) -> Shu
     rolling = getattr(getattr(scene, "cycles", None), "rolling_shutter_type", "NONE") != "NONE"
     cameras = between(keys, CAMERAS)
     return Shutter(cameras, moments, rolling and (moved or len(cameras) > 0))
+
+
+class Passing:
+    """What passes during an exposure where none of the moments that are looked at finds it: it stays."""
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[float, Records, F64]] = []
+
+    def add(self, at: float, keys: Keys, scene: Scene) -> None:
+        """Take in a moment: so many frames after the frame, where its instances are."""
+        self._seen.append((at, keys.records, scene.instances.bounds + scene.origin[None, None]))
+
+    def found(self) -> list[Records]:
+        """Records of KEY of instances that move by more than their own size from one moment to the next."""
+        out = []
+        moments = sorted(self._seen, key=lambda moment: moment[0])
+        for (_, records, before), (_, others, after) in pairwise(moments):
+            _, i, j = np.intersect1d(packed(records), packed(others), return_indices=True)
+            a, b = before[i], after[j]
+            gap = np.maximum(b[:, 0] - a[:, 1], a[:, 0] - b[:, 1]).max(axis=1)
+            out.append(records[i[gap > (a[:, 1] - a[:, 0]).max(axis=1)]])
+        return out
+
+
+def of_more_steps(keys: Keys) -> NDArray[np.bool_]:
+    """(names,) bool: objects of the open file that Cycles moves along more places than those that are looked at."""
+    blurred = (ob for ob in bpy.data.objects if getattr(ob, "cycles", None) is not None and ob.cycles.use_motion_blur)
+    names = {full_name(ob) for ob in blurred if ob.cycles.motion_steps > 1 and ob.type not in UNSEEN}
+    return np.array([name in names for name in keys.names], bool)
 
 
 def _shows(update: Any) -> bool:

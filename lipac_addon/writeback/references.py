@@ -139,8 +139,9 @@ class References:
 
 
 def _names(ob: bpy.types.Object, block: bpy.types.ID) -> bool:
-    """Whether a modifier or a constraint of an object names a data-block."""
-    things = (*ob.modifiers, *ob.constraints)
+    """Whether a modifier or a constraint of an object, or of a bone of it, names a data-block."""
+    bones = ob.pose.bones if ob.pose is not None else ()
+    things = (*ob.modifiers, *ob.constraints, *(constraint for bone in bones for constraint in bone.constraints))
     own = (getattr(thing, p.identifier) for thing in things for p in thing.bl_rna.properties if p.type == "POINTER")
     return any(value == block for value in own) or any(
         x == block for m in ob.modifiers if m.type == "NODES" for x in inputs_of(m)

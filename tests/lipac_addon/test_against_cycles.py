@@ -245,6 +245,25 @@ def test_orthographic_transparent_film(stage, tmp_path):
     check(tmp_path)
 
 
+def test_transparent_film_through_glass(stage, tmp_path):
+    """Up to a roughness, what refracts shows the film's transparency, not the world."""
+    world((0.4, 0.4, 0.4))
+    lamp("POINT", (1, -2, 3), 300, shadow_soft_size=0.1)
+    stage.render.film_transparent = stage.cycles.film_transparent_glass = True
+    stage.cycles.film_transparent_roughness = 0.3
+    paint("Sphere", shader("ShaderNodeBsdfGlass", Roughness=0.25))
+    paint("Cube", shader("ShaderNodeBsdfGlass", Roughness=0.35))
+    bpy.data.objects["Plane"].scale = (0.2, 0.2, 1)
+    check(tmp_path)
+
+
+@pytest.mark.parametrize("bounces", [0, 1])
+def test_a_world_of_few_bounces(stage, tmp_path, bounces):
+    world((0.5, 0.5, 0.6))
+    stage.world.cycles.max_bounces = bounces
+    check(tmp_path)
+
+
 def test_who_sees_what(stage, tmp_path):
     """Ray visibility of objects and of the world."""
     world((0.5, 0.5, 0.6))

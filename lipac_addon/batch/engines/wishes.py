@@ -28,8 +28,6 @@ def left_out(scene: bpy.types.Scene, engine: str, as_scene: bool = False) -> lis
     if engine and not as_scene and (lost := _unwritten(scene)):
         way = "; --as-scene writes all of it" if engine in BLENDER_ENGINES and not render.is_movie_format else ""
         out.append(f"output: pictures are .exr and .png; left out: {', '.join(lost)}{way}")
-    if render.use_freestyle and engine in BLENDER_ENGINES:
-        out.append("Freestyle: lines of what is culled are not drawn")
     if engine == "eevee" and any(
         ob.type == "LIGHT" and ob.data.type == "SUN" and not ob.hide_render for ob in scene.objects
     ):

@@ -11,7 +11,7 @@ import numpy as np
 from ....core.arrays import Records
 from ....core.scene.model import Shader, Unsure, default_material
 from .arithmetic import Array
-from .ranges import glow_of, most_of, range_of
+from .ranges import glow_of, most_of, range_of, scatters
 from .reader import LUMINANCE, MEAN, WORTHLESS, Reader, Value, grey
 from .textures import TextureTable
 from .trees import (
@@ -19,11 +19,13 @@ from .trees import (
     Tree,
     black,
     clear,
+    filled,
     glowing,
     glowing_through,
     half_sure,
     mark,
     mixed,
+    scattered,
     spread,
     unsure,
 )
@@ -69,16 +71,10 @@ class Converter:
             self.report(f"volume not rendered{FOG if alone else ''}")
             glow = glow_of(node.inputs["Volume"]) if self.most else 0.0
             if alone:
-                return self._volume(glow)
-            if glow > 0:
-                return mixed(black() if tree is None else tree, glowing(black(), 2 * glow))
+                return unsure(mixed(clear(), glowing(scattered(), 2 * glow)))
+            if tree is not None and self.most:
+                return filled(tree, glow, scatters(node.inputs["Volume"]))
         return black() if tree is None else tree
-
-    def _volume(self, glow: float) -> Tree:
-        """The boundary of a volume: what passes it is scattered, or is not. glow: what a metre of it emits."""
-        scatters = default_material()
-        scatters["shader"] = Shader.TRANSLUCENT
-        return unsure(mixed(clear(), glowing(scatters, 2 * glow)))
 
     def surface(self, socket: Any) -> Tree | None:
         """What is linked to a shader socket; None where nothing is (black)."""

@@ -24,6 +24,7 @@ from ....core.scene.model import VIEWS, Shader, Unsure, default_material
 from . import nodes, shaders
 from .converter import Converter
 from .displacement import Relief, relief_of
+from .ranges import reach_of
 from .reader import Reader, View, no_objects
 from .textures import TextureTable
 from .trees import (
@@ -135,7 +136,9 @@ class MaterialTable:
             out = spread(out, UNKNOWN) if bumps and self.most else out
         if not material.use_transparent_shadow and any(passes_straight(leaf) for leaf in leaves(out)):
             out = opaque_to_shadows(out)
+        reach = reach_of(tree) if self.most else 0.0
         for record in (*leaves(out), *heads(out)):
+            record["reach"] = reach
             record["mis_emission"] = material.cycles.emission_sampling != "NONE"
             if not self.most:
                 record["unsure"] &= np.uint32(Unsure.BEHIND)

@@ -32,6 +32,9 @@ OUTPUTS = {
     **{("TEX_COORD", name): UNIT for name in ("Generated", "Window")},
     **{("TEX_COORD", name): SIGNED for name in ("Normal", "Reflection")},
 }
+# nodes that ask what is around, and the socket that says within how many metres
+AROUND = {"AMBIENT_OCCLUSION": "Distance", "MATERIAL_RAYCAST": "Length"}
+FARTHEST = 1e30
 MOST = 10.0, 100.0  # what a colour and what a number is taken to be at most, where nothing says what bounds it
 
 
@@ -217,6 +220,26 @@ def glow_of(socket: Any) -> float:
         hot = most_of(node.inputs["Blackbody Intensity"]) > 0
         return _at_most(node.inputs["Emission Color"], node.inputs["Emission Strength"]) + (MOST[0] if hot else 0.0)
     return _at_most(node.inputs["Emission Coefficients"]) if "Emission Coefficients" in node.inputs else 0.0
+
+
+def scatters(socket: Any) -> bool:
+    """Whether what is linked to a Volume socket of an inlined tree may scatter light."""
+    node = socket.links[0].from_node if socket.is_linked else None
+    if node is not None and node.type in {"ADD_SHADER", "MIX_SHADER"}:
+        return any(scatters(one) for one in node.inputs if one.type == "SHADER")
+    return node is not None and node.type not in {"VOLUME_ABSORPTION", "EMISSION"}
+
+
+def reach_of(tree: Any) -> float:
+    """Within how many metres what is around a surface changes what it looks like, by nodes of an inlined tree that look
+    around; 0: none does."""
+    lengths = [
+        range_of(node.inputs[AROUND[node.type]])[1]
+        for node in tree.nodes
+        if node.type in AROUND and not node.only_local
+    ]
+    # Ambient Occlusion of distance 0 has the world's
+    return max((length if 0 < length < FARTHEST else FARTHEST for length in lengths), default=0.0)
 
 
 def _at_most(*sockets: Any) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ....core.scene.model import Extension
 from ... import attributes
 from .arithmetic import Array
-from .ranges import output_range
+from .ranges import AROUND, output_range
 from .textures import ImageUse, TextureTable
 
 LUMINANCE = np.array([0.2126729, 0.7151522, 0.0721750], np.float32)  # Rec.709
@@ -214,7 +214,7 @@ class Reader:
 
     def _unknown(self, node: Any, socket: Any) -> Value:
         """Stand-in for an output that is not followed."""
-        if node.type == "AMBIENT_OCCLUSION" and not node.only_local:
-            self.report(f"{node.bl_label} not rendered: what only darkens it {WORTHLESS}")
+        if node.type in AROUND and not node.only_local:
+            self.report(f"{node.bl_label} not rendered: what is within its reach stays")
         bounds = output_range(node, socket)
         return self._pattern(node, *bounds) if self.patterns and np.isfinite(bounds).all() else self.average(node, 0.5)

@@ -56,6 +56,17 @@ def mark(record: Records, what: Unsure) -> None:
     record["unsure"] |= np.uint32(what)
 
 
+def lets_in(record: Records) -> bool:
+    """Whether light passes a material, in whatever direction."""
+    through = (Shader.GLASS, Shader.REFRACTION, Shader.TRANSLUCENT)
+    return bool(
+        record["shader"] in through
+        or record["transmission"] > 0
+        or record["transmission_texture"] >= 0
+        or passes_straight(record)
+    )
+
+
 def passes_straight(record: Records) -> bool:
     """Whether light passes a material on a straight line."""
     return bool(record["shader"] == Shader.TRANSPARENT or record["alpha"] < 1 or record["alpha_texture"] >= 0)
@@ -118,6 +129,27 @@ def glowing_through(record: Records, share: float) -> Tree:
     out = mixed(record, through)
     out.head["alpha"] = share / 2
     return out
+
+
+def scattered() -> Records:
+    """Light that a volume scatters, whatever its direction, where it enters."""
+    record = default_material()
+    record["shader"] = Shader.TRANSLUCENT
+    return record
+
+
+def filled(tree: Tree, glow: float, scatters: bool) -> Tree:
+    """A surface with a volume behind it: how much of the light that enters comes out again nobody knows. glow: what a
+    metre of the volume emits; scatters: half of the paths are scattered where they enter."""
+    into = [leaf for leaf in leaves(tree) if lets_in(leaf)]
+    for leaf in into:
+        mark(leaf, Unsure.LIGHT)
+    within = scattered() if into and scatters else black()
+    if within["shader"] == Shader.TRANSLUCENT:
+        mark(within, Unsure.LIGHT)
+    elif glow <= 0:
+        return tree
+    return mixed(tree, glowing(within, 2 * glow))
 
 
 def half_sure(tree: Tree) -> Tree:

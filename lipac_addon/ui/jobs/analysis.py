@@ -14,6 +14,7 @@ import bpy
 from ....core.culling.policies import LIGHT_PATHS
 from ....core.errors import InputError
 from ....core.files.memory_table import merged
+from ... import roles
 from ...depsgraph import rendered_layers
 from ...keys import any_of
 from ..state import applying, props, results, scatters, session
@@ -154,6 +155,7 @@ class AnalysisJob(Job):
         is, in words."""
         from ....core.culling.analysis import decide
         from ....core.culling.shot import Shot
+        from ...extract.shutter import of_more_steps
         from ...memory.rows import Weighed
 
         n = len(self._frames)
@@ -174,7 +176,8 @@ class AnalysisJob(Job):
         uids = results.session_uids(extraction.keys)
         pinned = props.pinned(extraction.keys, uids)
         if needed:
-            pinned = any_of(extraction.keys.records, needed) | (False if pinned is None else pinned)
+            steps = roles.instances_of(extraction.keys, of_more_steps(extraction.keys))
+            pinned = any_of(extraction.keys.records, needed) | steps | (False if pinned is None else pinned)
         hosts = [
             uid for name, uid in zip(extraction.keys.names, uids.tolist(), strict=True) if name in extraction.scatters
         ]
@@ -197,11 +200,14 @@ class AnalysisJob(Job):
     ) -> Generator[None, None, list[Records]]:
         """Keys of what the frame needs at other moments of its exposure, a part for each. how: as of `_analyse`."""
         from ....core.culling.analysis import decide
+        from ...extract.shutter import Passing
 
-        needed = []
+        needed, passing = [], Passing()
+        passing.add(0.0, extraction.keys, extraction.scene)
         for moment in extraction.moments:
             assert self._extractor is not None
             other = self._extractor.frame(number, keep=False, at=moment)
+            passing.add(moment, other.keys, other.scene)
             meshes = AskedMeshes(other.scene.meshes)
             asked, change = replace(other.scene, meshes=meshes), other.change
             step = decide if how is None else how(other, results.session_uids(other.keys))
@@ -209,7 +215,7 @@ class AnalysisJob(Job):
             result = yield from in_thread(advance, self.cancel, meshes)
             self._check()
             needed.append(other.keys.records[result.active])
-        return needed
+        return [*needed, *passing.found()] if needed else []
 
     def _extract(self, scene: bpy.types.Scene, number: int) -> Extraction:
         """What a render sees of the frame."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lipac.core.culling.analysis import analyze
+from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation.judge import Judge
@@ -76,3 +77,33 @@ def test_a_reason_to_keep_all() -> None:
     """Where light paths cannot say what a picture shows, all stays, and the reason is a warning."""
     result = analyze(dataclasses.replace(roofed(0), whole="why"), CullOptions(width=SIZE[0], max_error=BUDGET))
     assert (result.active.all(), result.warnings) == (True, ("why",))
+
+
+@pytest.mark.parametrize("color", [0.02, 0.8])
+def test_a_shadow_catcher_shows_none_of_its_own_light(color: float) -> None:
+    """Pebbles are all that is seen of a picture whose ground catches shadows, however bright that is, and of whatever
+    colour they are."""
+    rng = np.random.default_rng(1)
+    places = rng.uniform((-2, 1, 0.05), (2, 6, 0.05), (150, 3)).tolist()
+    scene = scenes.build(
+        [scenes.quad(), scenes.cube()],
+        [(0, scenes.placed((0, 0, 0), 80.0), 0), *((1, scenes.placed(place, 0.1), 1) for place in places)],
+        [material(), material(base_color=color)],
+        CAMERA,
+        None,
+        (1, 1, 1),
+        SIZE,
+        s.PathLimits(total=1, diffuse=1),
+    )
+    assert known_light(scene) is None
+    flags = scene.instances.flags.copy()
+    flags[0] |= s.InstanceFlag.SHADOW_CATCHER
+    caught = dataclasses.replace(scene, instances=dataclasses.replace(scene.instances, flags=flags))
+    shown, options = known_light(caught), CullOptions(width=SIZE[0], max_error=BUDGET)
+    assert shown is not None
+    for seen, holds in ((scene, False), (caught, True)):
+        change = Judge(shown, 128).change(analyze(seen, options).active)
+        assert (change.mean - 2 * change.mean_deviation <= BUDGET.mean) == holds
+    loop = Loop(caught, options)
+    loop.run()
+    assert loop.known.mean() < 0.2

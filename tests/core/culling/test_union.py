@@ -26,6 +26,19 @@ def checked(keep: np.ndarray, earlier: int = 0, threads: int = 0) -> Check:
     return check(loop, keep, np.zeros(len(keep), bool), {}, earlier)
 
 
+def test_what_is_shown_by_other_things_than_light_stays() -> None:
+    """Whatever paths say, and a set without it does not hold."""
+    scene, drawn = stage(), np.zeros(len(stage().instances), bool)
+    drawn[-1] = True
+    scene = replace(scene, stays=drawn)
+    proposed = analyze(stage(), OPTIONS).active
+    assert not proposed[-1]
+    assert analyze(scene, OPTIONS).active[-1]
+    met = np.zeros(len(proposed), bool)
+    assert not check(Loop(scene, OPTIONS), proposed, met, {}).holds
+    assert check(Loop(scene, OPTIONS), proposed | drawn, met, {}).holds
+
+
 def test_what_a_frame_proposes_holds_in_it() -> None:
     """By few instances, and by an independent judge."""
     scene = stage()

@@ -1,4 +1,5 @@
-"""Surfaces of two instances in one plane: which of them a renderer shows is chance, so both stay, and it is said."""
+"""What lies where paths meet a surface: in its plane, which of the two a renderer shows is chance, so both stay, and it
+is said; around it, where its shader asks for that."""
 
 from __future__ import annotations
 
@@ -26,8 +27,11 @@ def turned(angle: float) -> np.ndarray:
     return around_z @ around_x
 
 
-def analysed(gap: float, angle: float, distance: float = 7.0) -> CullingResult:
-    """A wall, and a decal of the same colour on it, a gap behind its surface; seen straight on, under a white sky."""
+def analysed(gap: float, angle: float, distance: float = 7.0, reach: float = 0.0) -> CullingResult:
+    """A wall, and a decal of the same colour on it, a gap behind its surface; seen straight on, under a white sky.
+
+    reach: within which the wall asks what is around it.
+    """
     turn = turned(angle)
 
     def facing(x: float, y: float, side: float) -> np.ndarray:
@@ -37,6 +41,7 @@ def analysed(gap: float, angle: float, distance: float = 7.0) -> CullingResult:
     placement = [(0, facing(0, distance, 12), WALL), (0, facing(0.31, distance + gap, 1.7), DECAL)]
     camera = scenes.look_at((0, 0, 0), tuple((turn @ [0, 1, 0]).tolist()))
     grey = [material(base_color=0.5), material(base_color=0.5)]
+    grey[0]["reach"] = reach
     scene = scenes.build([scenes.quad()], placement, grey, camera, None, (1, 1, 1), SIZE, s.PathLimits(total=2))
     return analyze(scene, CullOptions(width=SIZE[0], max_error=Budget(0.05, 0.2)))
 
@@ -55,6 +60,12 @@ def test_a_decal_behind_its_wall_goes_and_nothing_is_said(angle: float) -> None:
     result = analysed(1e-3, angle)
     assert result.active.tolist() == [True, False]
     assert not result.warnings
+
+
+@pytest.mark.parametrize(("reach", "stays"), [(2.0, True), (0.5, False)])
+def test_what_is_within_reach_of_a_surface_that_looks_around_stays(reach: float, stays: bool) -> None:
+    result = analysed(1.0, 0.7, reach=reach)
+    assert (bool(result.active[DECAL]), result.warnings) == (stays, ())
 
 
 def test_surfaces_that_cross_are_not_in_one_place() -> None:

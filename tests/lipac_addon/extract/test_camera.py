@@ -117,3 +117,26 @@ def test_far_from_the_origin_blender_rounds_places() -> None:
         item.location.x = thing.location.x = x
         lines = [line for line in extract_frame(scene).warnings if "rounds places" in line]
         assert bool(lines) == said
+
+
+@pytest.mark.parametrize("kind", ["freestyle", "layer without", "line art", "own camera", "nothing"])
+def test_what_draws_lines_keeps_what_is_in_view(kind: str) -> None:
+    """Lines are drawn of what no light shows; where they are drawn as another camera sees them, of all."""
+    scene = bpy.context.scene
+    add("seen", cube())
+    add("behind", cube(), location=(3.0, -60.0, 8.0))
+    scene.render.use_freestyle = kind in {"freestyle", "layer without"}
+    bpy.context.view_layer.use_freestyle = kind == "freestyle"
+    if kind in {"line art", "own camera"}:
+        art = add("art", bpy.data.grease_pencils.new("art")).modifiers.new("art", "LINEART")
+        art.use_custom_camera = kind == "own camera"
+    extraction = extract_frame(scene)
+    stays, names = extraction.scene.stays, extraction.keys.names
+    shown = [names[k] for k in extraction.keys.records["object"]]
+    if kind in {"layer without", "nothing"}:
+        assert stays is None
+    else:
+        assert stays is not None
+        assert dict(zip(shown, stays.tolist(), strict=True)) == {"seen": True, "behind": kind == "own camera"}
+    assert any("draws lines" in line for line in extraction.scene.approximated) == (stays is not None)
+    assert scene.render.use_freestyle == (kind in {"freestyle", "layer without"})

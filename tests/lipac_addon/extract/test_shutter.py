@@ -15,7 +15,8 @@ from lipac.lipac_addon.batch.job import Job
 from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.depsgraph import go_to
 from lipac.lipac_addon.extract import Extractor, extract_frame
-from lipac.lipac_addon.extract.shutter import CAMERAS
+from lipac.lipac_addon.extract.shutter import CAMERAS, Passing, of_more_steps
+from lipac.lipac_addon.keys import any_of
 
 from .conftest import add, cube
 
@@ -175,3 +176,32 @@ def test_what_passes_while_the_shutter_is_open_is_looked_at_half_way(
     assert extract_frame(exposed).moments == moments
     exposed.view_layers[0].use_motion_blur = False
     assert extract_frame(exposed).moments == ()
+
+
+@pytest.mark.parametrize(("speed", "passes"), [(1.5, False), (6.0, True)])
+def test_what_passes_between_the_moments_stays(exposed: Any, speed: float, passes: bool) -> None:
+    """A cube of 2 m, which moves so many times that from one to the next."""
+    animate(bpy.data.objects["cube"], "location", 0, (0, 0.0), (10, 40 * speed))
+    seen = Passing()
+    with Extractor(exposed) as extractor:
+        extraction = extractor.frame()
+        seen.add(0.0, extraction.keys, extraction.scene)
+        for moment in extraction.moments:
+            other = extractor.frame(at=moment)
+            seen.add(moment, other.keys, other.scene)
+    assert any_of(extraction.keys.records, seen.found()).tolist() == [passes]
+
+
+def test_what_moves_along_more_places_stays(exposed: Any) -> None:
+    """A blade that turns by whole turns from moment to moment, and is never looked at where it is seen."""
+    blade = bpy.data.objects["cube"]
+    blade.scale, blade.location = (1, 0.1, 0.1), (0, 60, 0)
+    hub = add("hub")
+    blade.parent = hub
+    hub.location = exposed.camera.location
+    animate(hub, "rotation_euler", 2, (0, np.pi), (10, 41 * np.pi))
+    blade.cycles.motion_steps = 5
+    extraction = extract_frame(exposed)
+    assert of_more_steps(extraction.keys)[extraction.keys.records["object"]].all()
+    blade.cycles.motion_steps = 1
+    assert not of_more_steps(extraction.keys).any()

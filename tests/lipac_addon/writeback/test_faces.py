@@ -173,6 +173,11 @@ def on_a_vertex(ob: bpy.types.Object) -> None:
     bpy.context.object.parent, bpy.context.object.parent_type = ob, "VERTEX"
 
 
+def under_a_foot(ob: bpy.types.Object) -> None:
+    bpy.ops.object.armature_add()
+    bpy.context.object.pose.bones[0].constraints.new("SHRINKWRAP").target = ob
+
+
 def of_a_collection(ob: bpy.types.Object) -> None:
     bpy.ops.mesh.primitive_cube_add()
     modifier = bpy.context.object.modifiers.new("without", "BOOLEAN")
@@ -186,6 +191,7 @@ def of_a_collection(ob: bpy.types.Object) -> None:
         (shrinkwrap, SHAPES),
         (on_its_faces, SHAPES),
         (on_a_vertex, SHAPES),
+        (under_a_foot, SHAPES),
         (of_a_collection, FEEDS),
         (collides, SIMULATION),
     ],

@@ -13,7 +13,7 @@ from lipac.core.errors import InputError
 from lipac.core.files.report import Report
 from lipac.lipac_addon.batch.engines.as_scene import engine_of, files_of
 from lipac.lipac_addon.batch.job import SHOT, Job
-from lipac.lipac_addon.batch.pipeline import STEREO, run
+from lipac.lipac_addon.batch.pipeline import REGION, STEREO, run
 from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.lipac import main
 
@@ -158,6 +158,7 @@ def test_all_that_a_scene_asks_for(asking, tmp_path, bake):
     assert any("Normal" in name for name in channels) and any(name.startswith("second.") for name in channels)
     assert_same(ours, theirs)
     assert min(frame["culled"] for frame in report.frames) >= 4
+    assert REGION in report.warnings
     assert job.is_finished(2)
     assert not [line for line in report.approximated if line.startswith(("output", "render region", "view layers"))]
     assert not list((tmp_path / "report").glob("frame_*"))

@@ -13,6 +13,7 @@ from lipac.core.arrays import Records
 from lipac.core.scene.model import MATERIAL, VIEWS, Extension, RayType, Shader, Textures, Unsure, default_material
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.extract.materials.material_table import MaterialTable
+from lipac.lipac_addon.extract.materials.ranges import FARTHEST
 from lipac.lipac_addon.extract.materials.textures import TextureTable, srgb_to_linear
 
 from ..conftest import add, cube
@@ -434,13 +435,45 @@ def test_what_glows_within_lights_what_is_around(kind: str, inputs: dict[str, An
     t = Tree()
     t.tree.links.new(t.new(f"ShaderNode{kind}", inputs).outputs[0], t.output.inputs["Volume"])
     records, _, _ = t.parts(t.new("ShaderNodeBsdfGlass") if surface else None)
-    if surface and not glow:
-        assert [int(r["shader"]) for r in records] == [Shader.GLASS]
-        return
     _, first, within = records
+    if surface and not glow:
+        assert (int(first["shader"]), int(within["shader"])) == (Shader.GLASS, Shader.TRANSLUCENT)
+        assert first["unsure"] & within["unsure"] & Unsure.LIGHT
+        return
     assert first["shader"] == (Shader.GLASS if surface else Shader.TRANSPARENT)
     np.testing.assert_allclose(within["emission"], 2 * glow)
     assert (within["unsure_emission"], first["emission"].any()) == (glow > 0, False)
+
+
+@pytest.mark.parametrize("kind", ["BsdfGlass", "BsdfDiffuse", "BsdfPrincipled"])
+def test_of_light_that_a_volume_may_absorb_none_is_sure(kind: str) -> None:
+    """Where a surface lets light in; what is opaque hides its volume."""
+    t = Tree()
+    t.tree.links.new(t.new("ShaderNodeVolumeAbsorption").outputs[0], t.output.inputs["Volume"])
+    (record,), _, _ = t.parts(t.new(f"ShaderNode{kind}"))
+    assert record["unsure"] == (Unsure.LIGHT if kind == "BsdfGlass" else 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "inputs", "own", "reach"),
+    [
+        ("AmbientOcclusion", {"Distance": 2.0}, False, 2.0),
+        ("AmbientOcclusion", {"Distance": 0.0}, False, FARTHEST),
+        ("AmbientOcclusion", {"Distance": 2.0}, True, 0.0),
+        ("Raycast", {"Length": 3.0}, False, 3.0),
+        ("Raycast", {"Length": 3.0}, True, 0.0),
+    ],
+)
+def test_what_looks_around_reaches_as_far_as_it_looks(
+    kind: str, inputs: dict[str, Any], own: bool, reach: float
+) -> None:
+    if not hasattr(bpy.types, f"ShaderNode{kind}"):
+        pytest.skip("no such node")
+    t = Tree()
+    looks = t.new(f"ShaderNode{kind}", inputs, only_local=own)
+    records, _, lines = t.parts(t.new("ShaderNodeBsdfDiffuse", {"Color": looks.outputs[0]}))
+    np.testing.assert_allclose(records["reach"], reach)
+    assert any(line.endswith("what is within its reach stays") for line in lines) == (reach > 0)
 
 
 @pytest.mark.parametrize(("kind", "through"), [("Toon", False), ("HairPrincipled", True)])
@@ -755,8 +788,8 @@ def test_normals_that_a_reduced_map_has_lost_spread_what_is_reflected(side: int,
 
 @pytest.mark.parametrize("kind", ["occlusion", "own", "fog", "drink"])
 def test_what_sees_more_than_light_paths_warns(kind: str) -> None:
-    """What only darkens an Ambient Occlusion node, or lights fog, can go: that is a warning, not a remark. Not so of
-    what looks at its own object alone, nor of what is within a surface."""
+    """What only lights fog can go: that is a warning, not a remark. Not so of what is within a surface, nor of what an
+    Ambient Occlusion node looks at, which stays."""
     t = Tree()
     if kind in {"fog", "drink"}:
         t.tree.links.new(t.new("ShaderNodeVolumeScatter").outputs[0], t.output.inputs["Volume"])
@@ -768,7 +801,7 @@ def test_what_sees_more_than_light_paths_warns(kind: str) -> None:
     add("cube", cube()).data.materials.append(t.material)
     add("lamp", bpy.data.lights.new("lamp", "POINT"))
     warnings = extract_frame(bpy.context.scene).warnings
-    assert len(warnings) == (kind in {"occlusion", "fog"})
+    assert len(warnings) == (kind == "fog")
     assert all(line.endswith("is taken to be worth nothing") for line in warnings)
 
 
