@@ -33,13 +33,16 @@ def spatial_order(bounds: F32) -> I32:
     """Order of boxes (N, 2, 3) along a Morton curve, large boxes first, so that a house and a pebble never share a
     region: (N,) int32."""
     code = extended_morton_codes(bounds, _MORTON_BITS, _SIZE_CLASSES)
+    del bounds  # of a large mesh, they take as much as the mesh
     # The index in the low bits makes keys distinct: a plain sort of integers is then an argsort, stable and several
     # times as fast.
-    bits = max(len(bounds) - 1, 1).bit_length()
+    bits = max(len(code) - 1, 1).bit_length()
     code >>= np.uint64(max(3 * _MORTON_BITS + 3 + bits - 64, 0))
-    code = (code << np.uint64(bits)) | np.arange(len(bounds), dtype=np.uint64)
+    code <<= np.uint64(bits)
+    code |= np.arange(len(code), dtype=np.uint64)
     code.sort()
-    return (code & np.uint64((1 << bits) - 1)).astype(np.int32)
+    code &= np.uint64((1 << bits) - 1)
+    return code.astype(np.int32)
 
 
 @dataclass(frozen=True)

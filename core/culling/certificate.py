@@ -30,7 +30,7 @@ from ..progress import Progress, part, silent
 from ..tracing.seen_emitters import SeenEmitters
 from .frame_tracer import FrameTracer
 from .loop import Loop
-from .witness import Witness, trace_witness
+from .witness import Staying, Witness, first_part, trace_witness
 
 LOOKS = 6  # in all, each doubles the paths of the tiles in doubt
 DENSEST = 16  # times the paths of a first look, in a tile at most
@@ -168,19 +168,20 @@ class Certificate:
         """The error of a set, (N,) bool of what stays; doubts: by as many looks as it takes to be sure, or as are
         left."""
         # the first set, or a part of one that broke the budget: less of the scene would be left to build
-        if (keep & ~self._held).any():
-            self.loop.include(keep)
-            self._held |= keep
+        wanted = keep & (np.arange(len(keep)) < first_part(self.loop))
+        if (wanted & ~self._held).any():
+            self.loop.include(wanted)
+            self._held |= wanted
             self._layers.clear()
             self._again = 0
         if not self._layers:
             self._add(self.samples, progress)
-        tlas = self.loop.tracer.build(keep)
-        estimate = self._estimate(keep, tlas)
+        staying = Staying(self.loop, keep)
+        estimate = self._estimate(staying)
         while doubts and not estimate.surely_holds(self.budget, self.each) and self._look_again(estimate, progress):
-            estimate = self._estimate(keep, tlas)
+            estimate = self._estimate(staying)
         if len(self.loop.seen) and estimate.surely_holds(self.budget, self.each):
-            estimate = replace(estimate, owed=estimate.owed + self._revealed(keep, tlas))
+            estimate = replace(estimate, owed=estimate.owed + self._revealed(keep, staying.tlas))
         return estimate
 
     def _revealed(self, keep: np.ndarray, tlas: Tlas) -> F64:
@@ -211,11 +212,11 @@ class Certificate:
             if estimate.surely_holds(budget, self.each) or not self._look_again(estimate, progress, budget):
                 return estimate
 
-    def _estimate(self, keep: np.ndarray, tlas: Tlas) -> ErrorEstimate:
+    def _estimate(self, staying: Staying) -> ErrorEstimate:
         for layer in self._layers:
-            self.paths += layer.propose(keep, tlas)
+            self.paths += layer.propose(staying)
         difference = sum((layer.trial.trace() for layer in self._layers[1:]), self._layers[0].trial.trace())
-        return self._estimated(difference, keep)
+        return self._estimated(difference, staying.keep)
 
     def _estimated(self, difference: Difference, keep: np.ndarray) -> ErrorEstimate:
         """By what paths differ by, and what is charged where keep, (N,) bool, stays."""
@@ -269,18 +270,16 @@ class _Layer:
         self.reference = Reference(witness.log, only, light, loop.known)
         self.trial = Trial(self.reference, witness.log, self._without, only)
         self._buffer = PathLog.zeros(*only.shape)
-        self._keep, self._tlas = loop.activation.exists, witness.tlas
 
     @cached_property
     def emitters(self) -> SeenEmitters:
         """What the camera sees of small emitters with nothing culled."""
         return self._loop.tracer.seen_emitters(self.witness.tlas)
 
-    def propose(self, keep: np.ndarray, tlas: Tlas) -> int:
-        """A set, (N,) bool of what stays, in tlas, that culls what was accepted and more. Returns how many paths are
-        traced for it."""
-        self._keep, self._tlas = keep, tlas
-        return self.trial.propose(~keep[self.witness.tlas.ids])
+    def propose(self, staying: Staying) -> int:
+        """A set that culls what was accepted and more. Returns how many paths are traced for it."""
+        self._staying = staying
+        return self.trial.propose(~staying.keep[self.witness.tlas.ids])
 
     def exchanged(self, tracer: FrameTracer, keep: np.ndarray, tlas: Tlas) -> Difference:
         """What all of its paths differ by in another scene, as of `Certificate.judge_exchanged`."""
@@ -289,7 +288,5 @@ class _Layer:
         return self.reference.compare(self.only, self._buffer.color, full, self.reference.nothing)
 
     def _without(self, cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
-        self._loop.tracer.trace_without(
-            self.witness.tlas, self.witness.first_sample, self._keep, self._tlas, only, self._buffer
-        )
+        self._staying.trace(self.witness, only, self._buffer)
         return self._buffer

@@ -8,16 +8,17 @@ which paths ask for in turn. So whole meshes are never built where parts do, and
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ..accel.region_tree import spatial_order
 from ..arrays import F32, I32, I64
-from ..scene.bounds import enclosing, triangle_boxes, world_bounds
+from ..files.scratch import Rows, Scratch
+from ..scene.bounds import triangle_boxes, world_bounds
 from ..scene.mesh import DIVIDED_FROM, Mesh, MeshSequence
 from ..scene.model import InstanceFlag, Instances, Scene
 from ..scene.render_costs import RenderCosts
@@ -27,42 +28,66 @@ from .policies import LIGHT_PATHS
 from .result import CullingResult
 
 PART = 256  # triangles of a part: with fewer more is culled, with more the parts' own structures are smaller
-HELD = 1 << 25  # triangles of whole meshes that are kept for the next of their parts: a gigabyte; others are read again
 
 
 @dataclass(frozen=True)
 class Parts:
-    """A mesh in parts. read: gives the mesh. order: (T,) int32 its triangles, part by part; ends: (P,) int64 where each
-    part ends in it. boxes: (P, 2, 3) float32, object space."""
+    """A mesh in parts, which waits on disk: part by part, with vertices of their own.
 
-    read: Callable[[], Mesh]
-    order: I32
-    ends: I64
+    boxes: (P, 2, 3) float32, object space; ends, upto: (P,) int64 where each ends in what is stored of T triangles and
+    of vertices. order: (T,) int32 triangles of the mesh; face: (T,) int32 their faces, of which there are `faces_of`.
+    positions, triangles, normals, uvs, slots: as of `Mesh`, uvs (T, K, 3, 2); triangles by the part's own vertices.
+    """
+
     boxes: F32
+    ends: I64
+    upto: I64
+    order: Rows
+    face: Rows
+    faces_of: int
+    positions: Rows
+    triangles: Rows
+    normals: Rows | None
+    uvs: Rows | None
+    slots: Rows | None
 
     @staticmethod
-    def of(read: Callable[[], Mesh]) -> Parts:
+    def of(mesh: Mesh, scratch: Scratch) -> Parts:
         """Divide a mesh into runs of PART triangles along a Morton curve."""
-        mesh = read()
-        boxes = triangle_boxes(mesh.positions, mesh.triangles)
-        order = spatial_order(boxes)
+        order = spatial_order(triangle_boxes(mesh.positions, mesh.triangles))
         ends = np.minimum(np.arange(PART, len(order) + PART, PART), len(order))
-        return Parts(read, order, ends, enclosing(boxes[order], PART))
+        return Parts._stored(mesh, order, ends, scratch)
 
     @staticmethod
-    def by(read: Callable[[], Mesh], faces: NDArray[np.bool_]) -> Parts:
+    def by(mesh: Mesh, faces: NDArray[np.bool_], scratch: Scratch) -> Parts:
         """Divide a mesh into two: the triangles of faces, (F,) bool, of which there are some, and the others, likewise.
         Raises ValueError where the mesh has another number of faces."""
-        mesh = read()
-        count = len(mesh.triangles) if mesh.faces is None else int(mesh.faces.max(initial=-1)) + 1
-        if len(faces) != count:
+        if len(faces) != _faces_of(mesh):
             raise ValueError("a mesh with other faces")
         first = faces if mesh.faces is None else faces[mesh.faces]
         order = np.argsort(~first, kind="stable").astype(np.int32)
         ends = np.array([np.count_nonzero(first), len(first)])
-        boxes = triangle_boxes(mesh.positions, mesh.triangles)
-        both = [boxes[first], boxes[~first]]
-        return Parts(read, order, ends, np.stack([np.stack((b[:, 0].min(axis=0), b[:, 1].max(axis=0))) for b in both]))
+        return Parts._stored(mesh, order, ends, scratch)
+
+    @staticmethod
+    def _stored(mesh: Mesh, order: I32, ends: I64, scratch: Scratch) -> Parts:
+        vertices, triangles, upto = _own_vertices(mesh.triangles, order, ends, len(mesh.positions))
+        normals, uvs, slots = mesh.normals, mesh.uvs, mesh.slots
+        positions, places = mesh.positions[vertices], scratch.put(order)
+        starts = np.append(0, upto[:-1])
+        return Parts(
+            np.stack((np.minimum.reduceat(positions, starts), np.maximum.reduceat(positions, starts)), axis=1),
+            ends,
+            upto,
+            places,
+            places if mesh.faces is None else scratch.put(mesh.faces[order]),
+            _faces_of(mesh),
+            scratch.put(positions),
+            scratch.put(triangles),
+            None if normals is None else scratch.put(normals[vertices if normals.ndim == 2 else order]),
+            None if uvs is None else scratch.put(uvs.transpose(1, 0, 2, 3)[order]),
+            None if slots is None else scratch.put(slots[order]),
+        )
 
     @property
     def sizes(self) -> I64:
@@ -71,43 +96,59 @@ class Parts:
 
     def part(self, number: int) -> Mesh:
         """One of them, with vertices of its own."""
-        mesh, chosen = self.read(), self.order[self.ends[number] - self.sizes[number] : self.ends[number]]
-        vertices, corners = np.unique(mesh.triangles[chosen], return_inverse=True)
+        rows, vertices = _run(self.ends, number), _run(self.upto, number)
+        positions, normals = self.positions[vertices], self.normals
+        by_corner = normals is not None and normals.like.ndim == 3
         return Mesh(
-            mesh.positions[vertices],
-            corners.reshape(-1, 3).astype(np.uint32),
-            None if mesh.normals is None else mesh.normals[vertices if mesh.normals.ndim == 2 else chosen],
-            None if mesh.uvs is None else mesh.uvs[:, chosen],
-            None if mesh.slots is None else mesh.slots[chosen],
+            positions,
+            self.triangles[rows],
+            None if normals is None else normals[rows if by_corner else vertices],
+            None if self.uvs is None else self.uvs[rows].transpose(1, 0, 2, 3),
+            None if self.slots is None else self.slots[rows],
         )
 
-    def faces(self, parts: np.ndarray) -> np.ndarray:
+    def triangles_of(self, parts: Sequence[int]) -> I32:
+        """Triangles of the mesh that are in parts, of which there are some."""
+        return np.concatenate([self.order[_run(self.ends, number)] for number in parts])
+
+    def faces(self, parts: np.ndarray) -> NDArray[np.bool_]:
         """(F,) bool, faces of the mesh of which a triangle is in one of parts, (P,) bool."""
-        triangles = self.order[np.repeat(parts, self.sizes)]
-        faces = self.read().faces
-        out = np.zeros(len(self.order) if faces is None else int(faces.max()) + 1, bool)
-        out[triangles if faces is None else faces[triangles]] = True
+        out = np.zeros(self.faces_of, bool)
+        out[self.face[:][np.repeat(parts, self.sizes)]] = True
         return out
 
 
-class _LastRead:
-    """Meshes of a scene, of which those that were read last are held: parts of one are built one after the other."""
+def _run(ends: I64, number: int) -> slice:
+    """What is between the end before and that of a number."""
+    return slice(int(ends[number - 1]) if number else 0, int(ends[number]))
 
-    def __init__(self, meshes: Sequence[Mesh]) -> None:
-        self._meshes = meshes
-        self._held: dict[int, Mesh] = {}  # the latest last
 
-    def mesh(self, number: int) -> Mesh:
-        """A mesh, read where it is not held."""
-        found = self._held.pop(number, None) or self._meshes[number]
-        self._held[number] = found
-        while len(self._held) > 1 and sum(len(mesh.triangles) for mesh in self._held.values()) > HELD:
-            del self._held[next(iter(self._held))]
-        return found
+def _faces_of(mesh: Mesh) -> int:
+    return len(mesh.triangles) if mesh.faces is None else int(mesh.faces.max(initial=-1)) + 1
 
-    def reader(self, number: int) -> Callable[[], Mesh]:
-        """What gives a mesh."""
-        return partial(self.mesh, number)
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _own_vertices(triangles, order, ends, count):
+    """Vertices of each part, one part after the other, each vertex once in a part: (W,) int32 into count of them; the
+    triangles by numbers among their part's own, (T, 3) uint32; and (P,) int64 where each part ends in W.
+
+    triangles: (T, 3) uint32; order: (T,) int32 part by part; ends: (P,) int64.
+    """
+    part_of, number = np.full(count, -1, np.int32), np.empty(count, np.uint32)
+    vertices, out, upto = np.empty(3 * len(order), np.int32), np.empty((len(order), 3), np.uint32), np.empty_like(ends)
+    t = w = 0
+    for p in range(len(ends)):
+        first = w
+        while t < ends[p]:
+            for corner in range(3):
+                vertex = triangles[order[t], corner]
+                if part_of[vertex] != p:
+                    part_of[vertex], number[vertex], vertices[w] = p, w - first, vertex
+                    w += 1
+                out[t, corner] = number[vertex]
+            t += 1
+        upto[p] = w
+    return vertices[:w].copy(), out, upto
 
 
 class _Meshes(MeshSequence):
@@ -153,7 +194,7 @@ class Division:
         instances = scene.instances
         users = np.bincount(instances.mesh, minlength=len(scene.meshes))
         self._whole = self.scene = scene
-        self._last_read = _LastRead(scene.meshes)
+        self._scratch = Scratch()
         self._may = ((instances.flags & InstanceFlag.DIVISIBLE) != 0) & (users[instances.mesh] == 1)
         self._may[emissive_instances(scene)] = False  # light sampling picks triangles of these
         self._rows: list[int] = []
@@ -166,7 +207,7 @@ class Division:
         out = Division(scene)
         out._may[:] = False
         out._rows = list(faces)
-        out._parts = [Parts.by(out._reader(row), mask) for row, mask in faces.items()]
+        out._parts = [Parts.by(out._read(row), mask, out._scratch) for row, mask in faces.items()]
         out._renew()
         return out
 
@@ -175,18 +216,18 @@ class Division:
         count = len(self._rows)
         for row in np.flatnonzero(active[: len(self._may)] & self._may).tolist():
             self._may[row] = False
-            read = self._reader(row)
-            if len(read().triangles) >= DIVIDED_FROM:
+            mesh = self._read(row)
+            if len(mesh.triangles) >= DIVIDED_FROM:
                 self._rows.append(row)
-                self._parts.append(Parts.of(read))
+                self._parts.append(Parts.of(mesh, self._scratch))
         if count == len(self._rows):
             return False
         self._renew()
         return True
 
-    def _reader(self, row: int) -> Callable[[], Mesh]:
-        """What gives the mesh of an instance."""
-        return self._last_read.reader(int(self._whole.instances.mesh[row]))
+    def _read(self, row: int) -> Mesh:
+        """The mesh of an instance."""
+        return self._whole.meshes[int(self._whole.instances.mesh[row])]
 
     def _renew(self) -> None:
         whole, rows, boxes = self._whole.instances, np.array(self._rows), [parts.boxes for parts in self._parts]
@@ -220,14 +261,19 @@ class Division:
         """What stays of each divided mesh: its number, the rows of the parts of it that stay with keep, (N,) bool, and
         their triangles."""
         out = []
-        first = len(self._whole.instances)
+        first = self.first
         for row, parts in zip(self._rows, self._parts, strict=True):
             kept = np.flatnonzero(keep[first : first + len(parts.boxes)])
             if len(kept):
-                chosen = np.concatenate([parts.order[p * PART : (p + 1) * PART] for p in kept.tolist()])
+                chosen = parts.triangles_of(kept.tolist())
                 out.append((int(self._whole.instances.mesh[row]), first + kept, chosen))
             first += len(parts.boxes)
         return out
+
+    @property
+    def first(self) -> int:
+        """Row of the first part."""
+        return len(self._whole.instances)
 
     @property
     def owner(self) -> I64:
@@ -242,7 +288,7 @@ class Division:
         """
         if not self._rows:
             return result
-        n, owner = len(self._whole.instances), self.owner
+        n, owner = self.first, self.owner
         state, score, hits, stats = (
             result.state[:n].copy(),
             result.score[:n].copy(),

@@ -31,7 +31,7 @@ from ..threads import limit
 from ..tracing.seen_emitters import NONE_SEEN, SeenEmitters
 from .activation import SETTLED, Activation
 from .division import Division
-from .frame_tracer import FrameTracer
+from .frame_tracer import FrameTracer, light_known
 from .measurement import Measurement, Traced
 from .options import CullOptions
 from .result import Built, CullingResult, states, structure_figures
@@ -191,7 +191,7 @@ class Loop:
         log = PathLog.zeros(self.size[1], self.size[0], count)
         prepared = self.tracer.with_only_emitters(built)
         feedback, picture = self.tracer.count(prepared, tlas, count, 0, weights=weights, progress=progress, log=log)
-        self.known = self.tracer.known_light(tlas, built, count, picture)
+        self.known = light_known(self.tracer, tlas, built, count, picture)
         weights, traced = replace(weights, known=self.known), Traced(log, 0, np.full(TILES, count))
         self.measured = Measurement(tlas, feedback, weights, (traced,), prepared.emissive)
         return self.measured

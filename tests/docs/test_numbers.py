@@ -117,6 +117,7 @@ CONSTANTS = {
     "SETTLED": activation.SETTLED,
     "UNKNOWN": loop.UNKNOWN,
     "BOXES_PER_SEGMENT": frame_tracer.BOXES_PER_SEGMENT,
+    "BOXES_AMONG_PARTS": frame_tracer.BOXES_AMONG_PARTS,
     "FANOUT": region_tree.FANOUT,
     "MERGE_BELOW": region_tree.MERGE_BELOW,
     "RESPLIT_WINDOW": region_tree.RESPLIT_WINDOW,

@@ -170,6 +170,8 @@ class GeometryReader:
         self._settle(out)
         cloud = geometry.instances_pointcloud()
         if cloud is None:
+            if out.mesh >= 0 and not instanced:
+                self.meshes.spare(out.mesh, item.evaluated_geometry)
             return out
         count, out.ids = len(cloud.points), "id" in cloud.attributes
         out.columns = matrices(cloud.attributes["instance_transform"].data, count, geometry)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....core.arrays import F32, F64, I32
+from ....core.scene.mesh import DIVIDED_FROM
 from ..materials.displacement import Relief
 from .fibres import Fibres
 from .meshes import NO_BOUNDS, Loaded, MeshSource, describe, load
@@ -84,6 +86,14 @@ class MeshTable:
         self._before.setdefault(index, self.sources[index])
         self.sources[index] = source
         return index
+
+    def spare(self, index: int, evaluated: Callable[[], Any]) -> None:
+        """Keep one more GeometrySet of the same for a large mesh (`MeshSource.spare`). evaluated: makes it."""
+        source = self.source(index)
+        mesh = source.geometry.mesh
+        if mesh is not None and len(mesh.loops) >= 2 * DIVIDED_FROM and source.spare is None:
+            source.spare = evaluated()
+            _ = source.spare.mesh
 
     def source(self, index: int) -> MeshSource:
         """What is at an index that is in use."""

@@ -42,7 +42,7 @@ class MeshSource:
     be coarser (`lipac_addon.coarsening`), by a setting of the object owner; fixed: why that must stay.
     fibres: what is rendered beside its faces.
     loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the
-    first who asks.
+    first who asks. spare: another GeometrySet of the same: what Blender copies of one that is read goes with that.
     """
 
     geometry: Any  # GeometrySet
@@ -54,6 +54,7 @@ class MeshSource:
     origin: F64 | None = None
     loaded: Loaded | None = None
     ready: Mesh | None = None
+    spare: Any = None
     relief: Relief | None = None
     divisible: bool = False
     simplifiable: bool | None = None
@@ -328,11 +329,11 @@ def _loaded(source: MeshSource, mesh: Any, uv_maps: Sequence[str]) -> Mesh:
         positions[~usable] = source.bounds[0]  # unused; but no NaN may reach a builder
     if source.origin is not None and source.origin.any():
         positions = (positions - source.origin).astype(np.float32)
-    loops: NDArray[np.int32] | None = None
-    if mesh.normals_domain == "CORNER" or source.needs_uv:
-        loops = corners[kept]
+    by_corner, count = mesh.normals_domain == "CORNER", len(corners)
+    loops = corners[kept] if by_corner or source.needs_uv else None
+    del corners
     normals = uvs = slots = None
-    if loops is not None and mesh.normals_domain == "CORNER":
+    if loops is not None and by_corner:
         normals = read(mesh.corner_normals, "vector", len(mesh.loops), 3)[loops]
     elif mesh.normals_domain == "POINT":
         normals = _normals(mesh)
@@ -345,14 +346,10 @@ def _loaded(source: MeshSource, mesh: Any, uv_maps: Sequence[str]) -> Mesh:
         slots = _slots(mesh)[kept]
     triangles: U32 = np.ascontiguousarray(vertices[kept]).view(np.uint32)
     faces = None
-    if source.divisible and len(corners) != len(mesh.polygons):
+    if source.divisible and count != len(mesh.polygons):
         faces = faces_of(mesh)[kept]
     out = Mesh(positions, triangles, normals, uvs, slots, faces)
-    return (
-        out
-        if source.relief is None
-        else shells(out, _normals(mesh), source.relief)
-    )
+    return out if source.relief is None else shells(out, _normals(mesh), source.relief)
 
 
 class LazyMeshes(MeshSequence):
@@ -372,5 +369,7 @@ class LazyMeshes(MeshSequence):
         if source is None:
             return EMPTY
         mesh, source.ready = source.ready or load(source, self.uv_maps), None
+        if source.spare is not None:
+            source.geometry, source.spare = source.spare, None
         source.loaded = Loaded.of(mesh, source.loaded) if source.loaded is None else source.loaded.again(mesh)
         return mesh

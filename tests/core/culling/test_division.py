@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 from lipac.core.accel.blas import BlasCache
-from lipac.core.culling import division
 from lipac.core.culling.analysis import analyze, decide
+from lipac.core.culling.certificate import Certificate
 from lipac.core.culling.division import PART, Division, Parts
 from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation.judge import Judge
+from lipac.core.feedback.tiles import TILES
+from lipac.core.files.scratch import Scratch
 from lipac.core.scene import model as s
 from lipac.core.scene.mesh import DIVIDED_FROM, Mesh, MeshSequence
 
@@ -62,7 +64,7 @@ def terrain(
 
 def test_each_triangle_is_in_one_part_and_in_its_box() -> None:
     mesh = grid(40)
-    parts = Parts.of(lambda: mesh)
+    parts = Parts.of(mesh, Scratch())
     count = -(-len(mesh.triangles) // PART)
     assert len(parts.boxes) == count
     rows = []
@@ -86,7 +88,7 @@ def test_all_that_belongs_to_triangles_goes_with_them() -> None:
     n = len(mesh.triangles)
     normals, uvs = rng.random((n, 3, 3), np.float32), rng.random((2, n, 3, 2), np.float32)
     mesh = Mesh(mesh.positions, mesh.triangles, normals, uvs, rng.integers(0, 9, n).astype(np.uint16))
-    parts = Parts.of(lambda: mesh)
+    parts = Parts.of(mesh, Scratch())
     part, chosen = parts.part(5), parts.order[5 * PART : 6 * PART]
     assert part.normals is not None and part.uvs is not None and part.slots is not None
     assert np.array_equal(part.positions[part.triangles], mesh.positions[mesh.triangles[chosen]])
@@ -94,7 +96,7 @@ def test_all_that_belongs_to_triangles_goes_with_them() -> None:
     assert np.array_equal(part.uvs, mesh.uvs[:, chosen])  # type: ignore[index]
     assert np.array_equal(part.slots, mesh.slots[chosen])  # type: ignore[index]
     by_vertex = Mesh(mesh.positions, mesh.triangles, rng.random(mesh.positions.shape, np.float32))
-    part = Parts.of(lambda: by_vertex).part(5)
+    part = Parts.of(by_vertex, Scratch()).part(5)
     assert part.normals is not None and by_vertex.normals is not None
     assert np.array_equal(part.normals[part.triangles], by_vertex.normals[mesh.triangles[chosen]])
 
@@ -165,37 +167,70 @@ def test_what_no_path_asks_for_is_never_read() -> None:
 
 
 class Fresh(MeshSequence):
-    """Meshes that are made anew each time they are read; most: how many were there at a time."""
+    """Meshes that are made anew each time they are read; most: how many were there at a time; read: which, one by
+    one."""
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:
         self._meshes = meshes
         self._made: list[weakref.ref[np.ndarray]] = []
         self.most = 0
+        self.read: list[int] = []
 
     def __len__(self) -> int:
         return len(self._meshes)
 
     def mesh(self, index: int) -> Mesh:
+        self.read.append(index)
         made = dataclasses.replace(self._meshes[index], triangles=self._meshes[index].triangles.copy())
         self._made = [ref for ref in self._made if ref() is not None] + [weakref.ref(made.triangles)]
         self.most = max(self.most, len(self._made))
         return made
 
 
-def test_whole_meshes_are_not_held_for_their_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of many, a few at a time; what is read again gives the same."""
+def test_whole_meshes_are_not_held_for_their_parts() -> None:
+    """One at a time, which is read once."""
     whole = [grid(70) for _ in range(6)]
     places = [(k, scenes.placed((8 * k - 20, 6, 0), 4.0), 0) for k in range(6)]
     limits, flags = s.PathLimits(total=1, diffuse=1), np.full(6, FLAGS, np.uint8)
     scene = scenes.build(whole, places, None, CAMERA, sun((1, 0, 1)), (0.4, 0.5, 0.7), SIZE, limits, flags)
-    expected = analyze(scene, OPTIONS)
-    assert len(expected.faces) > 3
-    monkeypatch.setattr(division, "HELD", 1)
     meshes = Fresh(whole)
     found = analyze(dataclasses.replace(scene, meshes=meshes), OPTIONS)
-    assert meshes.most <= 3
-    assert found.faces.keys() == expected.faces.keys()
-    assert all(np.array_equal(found.faces[row], expected.faces[row]) for row in found.faces)
+    assert len(found.faces) > 3
+    assert meshes.most <= 2  # one, and the next
+    assert meshes.read == sorted(set(meshes.read))
+
+
+def test_parts_that_stay_are_built_once_a_path_needs_them() -> None:
+    """Ground behind a wall: no path meets it, until the wall is culled; then it changes the picture by what it would,
+    had it been built from the start."""
+    wall = (1, facing((1, 0, 0), (0, -1, 0), (0, 3, 0), 90, 60), 1)
+    scene = scenes.build(
+        [grid(100), scenes.quad()],
+        [(0, scenes.placed((0, 0, 0), 30.0), 0), wall],
+        [material(base_color=0.6), material(base_color=0.2)],
+        CAMERA,
+        sun((1, 0, 1)),
+        (0.4, 0.5, 0.7),
+        SIZE,
+        s.PathLimits(total=1, diffuse=1),
+        np.array([FLAGS, s.ALL_RAYS], np.uint8),
+    )
+    loops = [Loop(scene, OPTIONS) for _ in range(2)]
+    found = []
+    for loop, all_built in zip(loops, (False, True), strict=True):
+        loop.run()
+        hidden = np.flatnonzero(loop.activation.exists & (loop.scene.instances.bounds[:, 0, 1] > 10))
+        assert len(hidden) > 10
+        if all_built:
+            loop.activation.activate(loop.activation.exists)
+        judge, keep = Certificate(loop, 1 << 16, np.full(TILES, 4), OPTIONS.max_error), loop.activation.exists.copy()
+        assert judge.judge(keep).mean == 0
+        assert loop.activation.active[hidden].all() == all_built
+        keep[1] = False
+        found.append(judge.judge(keep, doubts=False))
+        assert loop.activation.active[hidden].mean() > 0.5
+    assert found[0].mean > 0.1
+    assert np.allclose(found[0].tiles, found[1].tiles)
 
 
 @pytest.mark.parametrize("why", ["not flagged", "small", "emits", "shared", "pinned", "switched off"])
