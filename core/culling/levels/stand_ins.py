@@ -121,11 +121,11 @@ def _corner_normals(mesh: Mesh) -> F32 | None:
 
 
 def _between_materials(mesh: Mesh) -> NDArray[np.bool_]:
-    """(3 T,) corners at vertices where triangles of several materials meet."""
-    corners = mesh.triangles.reshape(-1)
+    """(3 T,) corners at places where triangles of several materials meet, by vertices of their own or shared ones."""
     if mesh.slots is None:
-        return np.zeros(len(corners), bool)
-    slots = np.repeat(mesh.slots, 3)
+        return np.zeros(mesh.triangles.size, bool)
+    _, place = np.unique(mesh.positions + np.float32(0), axis=0, return_inverse=True)  # -0 is 0
+    corners, slots = place.reshape(-1)[mesh.triangles.reshape(-1)], np.repeat(mesh.slots, 3)
     low, high = np.full(len(mesh.positions), 1 << 16), np.full(len(mesh.positions), -1)
     np.minimum.at(low, corners, slots)
     np.maximum.at(high, corners, slots)

@@ -70,6 +70,21 @@ def test_a_plate_needs_few_triangles_and_each_material_keeps_its_part() -> None:
     assert np.allclose(mesh.uvs[0], mesh.positions[mesh.triangles][..., :2])
 
 
+@pytest.mark.parametrize("apart", [False, True], ids=["shared", "own"])
+def test_a_material_in_the_middle_of_another_stays_there(apart: bool) -> None:
+    """Whether triangles share their vertices or have their own, as many exporters write them."""
+    whole = plate()
+    centre = whole.positions[whole.triangles].mean(axis=1)[:, :2]
+    slots = (np.abs(centre - 0.5) < 0.25).all(axis=1).astype(np.uint16)
+    positions = whole.positions[whole.triangles].reshape(-1, 3) if apart else whole.positions
+    triangles = np.arange(len(positions), dtype=np.uint32).reshape(-1, 3) if apart else whole.triangles
+    (found,) = stand_ins(mesh := Mesh(positions, triangles, slots=slots), [1e-6])
+    assert len(found) < len(whole.triangles) // 2
+    left = found.of(mesh)
+    assert left.slots is not None
+    assert area(left)[left.slots == 1].sum() == pytest.approx(0.25, abs=1e-6)
+
+
 def test_triangles_without_area_do_not_stand_in_the_way() -> None:
     whole = plate()
     flat = np.array([[0, 0, 1], [2, 3, 3]], np.uint32)
