@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import sys
 from typing import Any
 
 import bpy
@@ -148,6 +149,20 @@ def test_meshes_outlive_the_graph() -> None:
     after = extraction.scene.meshes[0]
     np.testing.assert_array_equal(before.positions, after.positions)
     np.testing.assert_array_equal(before.triangles, after.triangles)
+
+
+def test_what_blender_copies_of_a_large_mesh_goes_once_it_is_read() -> None:
+    """And it can be read again."""
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=100, y_subdivisions=100)
+    extraction = extract_frame(bpy.context.scene, world=None)
+    sources = extraction.scene.meshes.sources  # type: ignore[attr-defined]
+    (large,) = [k for k, source in enumerate(sources) if source is not None and source.spare is not None]
+    first = sources[large].geometry
+    once, again = (extraction.scene.meshes[large] for _ in range(2))
+    assert sys.getrefcount(first) == 2  # here, and where it is counted
+    assert len(once.triangles) == 20_000
+    assert np.array_equal(once.triangles, again.triangles)
+    assert np.array_equal(once.positions, again.positions)
 
 
 def test_nothing_to_render() -> None:
