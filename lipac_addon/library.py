@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -79,7 +80,8 @@ def analyze(
 
     number = opened.frame_current if frame is None else frame
     restore()
-    return decide_layers(sessions_of(Job(Path(), (number,), wanted)), number, True, progress)
+    with _frame_kept(opened):
+        return decide_layers(sessions_of(Job(Path(), (number,), wanted)), number, True, progress)
 
 
 def apply(analysis: Decided) -> WritebackResult:
@@ -129,7 +131,7 @@ def render(
         samples: per pixel; None: as the scene says.
         frames: none: the scene's current one.
 
-    Returns the report: `frames` holds the figures of each. The open file is left as it was.
+    Returns the report: `frames` holds the figures of each. The open file is left as it was, in Object Mode.
     Raises `InputError` where the scene cannot be rendered, or the folder not be written.
     """
     opened = _opened(scene)
@@ -151,10 +153,22 @@ def render(
         bpy.data.filepath, bpy.app.version_string, __version__, wanted.policy, engine, wanted.seed, wanted.threads
     )
     drop(folder)
-    run(job, report, progress)
+    with _frame_kept(opened):
+        run(job, report, progress)
     if not missing():
         write(folder)
     return report
+
+
+@contextmanager
+def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
+    """The scene's current frame is the same after the block."""
+    before = scene.frame_current, scene.frame_subframe
+    try:
+        yield
+    finally:
+        if (scene.frame_current, scene.frame_subframe) != before:
+            scene.frame_set(before[0], subframe=before[1])
 
 
 def _options(max_error: float | Budget, options: CullOptions | None, spread: float = SPREAD) -> CullOptions:

@@ -75,6 +75,9 @@ def main(argv: Sequence[str]) -> int:
             "--enforce renders frames again, and --as-scene writes the scene's own files: give one of them"
         )
     args.engine = args.engine or "cycles"
+    for option in ("gi", "primary", "denoise", "raster_samples"):
+        if args.engine != "hybrid" and getattr(args, option) != parser.get_default(option):
+            raise InputError(f"--{option.replace('_', '-')} is of --engine hybrid: give both, or neither")
     options = {
         "gi": args.gi,
         "primary": args.primary,

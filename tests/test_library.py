@@ -76,6 +76,16 @@ def test_a_scene_is_culled_and_taken_back(boxes: bpy.types.Scene) -> None:  # no
     assert not any(ob.hide_render for ob in bpy.data.objects)
 
 
+def test_the_current_frame_stays(boxes: bpy.types.Scene, tmp_path: Path) -> None:  # noqa: F811
+    options = lipac.CullOptions(policy="distance", setting=19.5)
+    boxes.frame_set(3, subframe=0.5)
+    lipac.analyze(boxes, options=options, frame=9)
+    assert (boxes.frame_current, boxes.frame_subframe) == (3, 0.5)
+    boxes.render.resolution_percentage = 25
+    lipac.render(boxes, tmp_path, engine="path", samples=1, frames=(5, 7), options=options)
+    assert (boxes.frame_current, boxes.frame_subframe) == (3, 0.5)
+
+
 def test_what_cannot_be_analysed_is_said(boxes: bpy.types.Scene, tmp_path: Path) -> None:  # noqa: F811
     with pytest.raises(lipac.InputError, match="no such file"):
         lipac.analyze(tmp_path / "none.blend")

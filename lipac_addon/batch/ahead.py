@@ -20,6 +20,18 @@ from ...core.files.report import UNREADABLE, States, load_states
 from .job import Cancel, check
 
 TICK = 0.02  # seconds between looks at what the process has done
+# What the process runs: the command line. Where whoever waits for it is killed, its input ends: so does it then, and
+# with it the folder.
+_CHILD = """
+import os, shutil, sys, threading
+def end():
+    os.read(0, 1)
+    shutil.rmtree(sys.argv[sys.argv.index("-o") + 1], ignore_errors=True)
+    os._exit(1)
+threading.Thread(target=end, daemon=True).start()
+from lipac.scripts.lipac import main
+sys.exit(main())
+"""
 
 
 @dataclass(frozen=True)
@@ -44,11 +56,10 @@ class Ahead:
         self._folder = tempfile.TemporaryDirectory(prefix="lipac")
         self._errors = Path(self._folder.name) / "errors.txt"
         where = ["-o", self._folder.name, "--frames", f"{frames[0]}-{frames[-1]}", "--quiet"]
-        command = [sys.executable, "-m", "lipac.scripts.lipac", "analyze", *arguments, *where]
+        # -P: whatever lies in the current folder is no module of Python's
+        command = [sys.executable, "-P", "-c", _CHILD, "analyze", *arguments, *where]
         with self._errors.open("wb") as errors:
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors
-            )
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
 
     def __enter__(self) -> Ahead:
         return self
@@ -66,6 +77,8 @@ class Ahead:
         """End the process, and remove what it has left."""
         self._process.kill()
         self._process.wait()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
         self._folder.cleanup()
 
     def take(self, frame: int, path: Path, cancelled: Cancel) -> Analysed:

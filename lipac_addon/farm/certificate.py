@@ -9,6 +9,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files.atomic import replacing, sweep
 from ...core.files.figures import percent
+from ...core.files.shell import quoted
 from ...page.html import missing
 from ...version import __version__
 from .analyse import note_of
@@ -25,12 +26,12 @@ def certify(shot: FarmShot) -> dict[str, Any]:
     missing."""
     united = read_json(shot.united, key=shot.key)
     if united is None:
-        raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
+        raise InputError(f"there is no set yet: run lipac shot unite {quoted(shot.folder)} first")
     lost = [frame for frame in shot.frames if rendered_from(shot, frame, united["set"]) is None]
     if lost:
         raise InputError(
-            f"pictures are missing, damaged, or from another set: {_few(lost)}; run lipac shot render {shot.folder} "
-            "for these"
+            f"pictures are missing, damaged, or from another set: {_few(lost)}; run lipac shot render "
+            f"{quoted(shot.folder)} for these"
         )
     told = of_frames(shot, shot.frames)
     # what killed tasks had begun; now nobody is at work
@@ -41,7 +42,8 @@ def certify(shot: FarmShot) -> dict[str, Any]:
         looked = {found["frame"] for found in sample}
         unseen = [number for number in range(1, shot.checks + 1) if shot.checked(number) not in looked]
         raise InputError(
-            f"not verified: numbers {_few(unseen)} of the sample; run lipac shot verify {shot.folder} --check for these"
+            f"not verified: numbers {_few(unseen)} of the sample; run lipac shot verify {quoted(shot.folder)} --check "
+            "for these"
         )
     frames = [_frame(shot, one, sample) for one in told]
     certificate = {

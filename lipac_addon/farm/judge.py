@@ -14,6 +14,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from ...core.errors import InputError
+from ...core.files.shell import quoted
 from ...core.files.usage import peak_memory
 from ...core.progress import Progress, part, silent
 from ..batch.deciding import decide_layers
@@ -79,5 +80,7 @@ def of_frames(shot: FarmShot, frames: Iterable[int]) -> list[dict[str, Any]]:
     missing = [frame for frame, one in found.items() if one is None]
     if missing:
         few = ", ".join(map(str, missing[:8])) + (f" and {len(missing) - 8} more" if len(missing) > 8 else "")
-        raise InputError(f"the set was not judged in frames {few}; run lipac shot judge {shot.folder} for these")
+        raise InputError(
+            f"the set was not judged in frames {few}; run lipac shot judge {quoted(shot.folder)} for these"
+        )
     return [one for one in found.values() if one is not None]

@@ -18,6 +18,7 @@ from ...core.culling.options import CullOptions
 from ...core.error_budget.budget import Budget
 from ...core.errors import InputError
 from ...core.files.atomic import is_whole, replacing
+from ...core.files.shell import quoted
 
 SCHEMA = 1
 JOB = "job.json"
@@ -76,12 +77,9 @@ class FarmShot:
     def save(self) -> None:
         """As job.json."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        scene = (
-            os.path.relpath(self.scene, self.folder)
-            if self.scene.is_absolute() and self.scene.anchor == self.folder.anchor
-            else str(self.scene)
-        )
-        write_json(self.folder / JOB, self._asked | {"scene": scene, "key": self.key})
+        scene, folder = self.scene.resolve(), self.folder.resolve()  # ".." leads out of what a link points to
+        way = os.path.relpath(scene, folder) if scene.anchor == folder.anchor else str(scene)
+        write_json(self.folder / JOB, self._asked | {"scene": way, "key": self.key})
 
     @staticmethod
     def load(folder: Path, scene: Path | None = None) -> FarmShot:
@@ -91,12 +89,13 @@ class FarmShot:
             names = {f.name for f in dataclasses.fields(FarmShot) if f.init} - {"folder"}
             if data["schema"] != SCHEMA:
                 raise ValueError
-            given = {name: data[name] for name in names} | {"folder": folder.resolve()}
+            given = {name: data[name] for name in names} | {"folder": Path(os.path.abspath(folder))}
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(
-                f"{folder} holds no shot that this version knows; write one by lipac farm SCENE -o {folder}"
+                f"{folder} holds no shot that this version knows; write one by lipac farm SCENE -o {quoted(folder)}"
             ) from error
-        given["scene"] = (scene or folder.resolve() / given["scene"]).resolve()
+        found = folder.resolve() / given["scene"]
+        given["scene"] = Path(os.path.abspath(scene)) if scene else found.resolve()
         given["resolution"] = None if given["resolution"] is None else tuple(given["resolution"])
         return FarmShot(**given)
 

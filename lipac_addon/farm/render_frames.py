@@ -150,7 +150,10 @@ def render_crops(scene: Any, folder: Path, frame: int, crops: list[str]) -> None
 
 def render(scene: Any, path: Path) -> None:
     """Render to a file. Ends the process where there is none then."""
-    scene.render.filepath = str(path)
+    name = str(path)
+    if bpy.app.version >= (5, 0, 0):  # where braces are a template
+        name = name.replace("{", "{{").replace("}", "}}")
+    scene.render.filepath = name
     bpy.ops.render.render(write_still=True, scene=scene.name)
     if not path.is_file() or not path.stat().st_size:
         raise SystemExit(f"{path} was not written: is the disk full?")

@@ -19,6 +19,7 @@ from ...core.culling.options import State
 from ...core.errors import InputError
 from ...core.files.atomic import is_whole, sweep
 from ...core.files.report import UNREADABLE, load_states, save_states
+from ...core.files.shell import quoted
 from ...core.files.usage import peak_memory
 from ...core.progress import Progress, silent
 from ..batch.baked import save_copy
@@ -89,14 +90,14 @@ def chosen_of(shot: FarmShot) -> str:
     """Which set the shot has. Raises InputError where there is none yet."""
     chosen = (read_json(shot.united, key=shot.key) or {}).get("set")
     if chosen is None:
-        raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
+        raise InputError(f"there is no set yet: run lipac shot unite {quoted(shot.folder)} first")
     return str(chosen)
 
 
 def set_of(shot: FarmShot) -> ShotSet:
     """The shot's set. Raises InputError where there is none, or its file is missing or damaged."""
     if note_of(shot.set).get("set") != chosen_of(shot):
-        raise InputError(f"{shot.set} is missing or damaged: run lipac shot unite {shot.folder} again")
+        raise InputError(f"{shot.set} is missing or damaged: run lipac shot unite {quoted(shot.folder)} again")
     together = ShotSet()
     together.add(load_states(shot.set))
     return together
@@ -149,7 +150,9 @@ def united(shot: FarmShot, analyses: Iterable[Path], progress: Progress = silent
         together.add(states)
     if missing:
         few = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
-        raise InputError(f"not analysed, or damaged: {few}; run lipac shot analyze {shot.folder} for these first")
+        raise InputError(
+            f"not analysed, or damaged: {few}; run lipac shot analyze {quoted(shot.folder)} for these first"
+        )
     return together
 
 

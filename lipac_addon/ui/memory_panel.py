@@ -23,8 +23,8 @@ class LIPAC_OT_select_memory(bpy.types.Operator):
     bl_label = "Select"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    kind: StringProperty()  # type: ignore[valid-type]
-    name: StringProperty()  # type: ignore[valid-type]
+    kind: StringProperty(name="Kind", description="Object or image", options={"HIDDEN"})  # type: ignore[valid-type]
+    name: StringProperty(name="Name", description="Its full name", options={"HIDDEN"})  # type: ignore[valid-type]
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: Any) -> str:
@@ -41,7 +41,8 @@ class LIPAC_OT_select_memory(bpy.types.Operator):
         return f"{row.name}: {sizes}{worth}. {row.why.capitalize()}"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        found = [ob for ob in self._objects(context.scene) if ob.name in context.view_layer.objects]
+        there = set(context.view_layer.objects)  # not by name, which a linked object may share
+        found = [ob for ob in self._objects(context.scene) if ob in there]
         if not found:
             self.report({"WARNING"}, f"{self.name} is not in this view layer")
             return {"CANCELLED"}

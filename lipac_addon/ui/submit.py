@@ -67,7 +67,7 @@ class LIPAC_OT_submit_shot(Explained, bpy.types.Operator):
         folder = Path(bpy.path.abspath(self.folder or f"//{Path(bpy.data.filepath).stem}_shot"))
         try:
             told = submit(folder, self.farm.lower(), wanted, self.chunk, self.lipac, self.blender)
-        except InputError as error:
+        except (InputError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self.report({"INFO"}, told)

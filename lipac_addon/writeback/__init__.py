@@ -135,7 +135,8 @@ def restore(in_render: bool = False) -> bool:
     there was something.
 
     Exact: values, active modifiers, and no data-block or custom property left over. What a user changed since stays as
-    the user set it.
+    the user set it. What a linked file was saved with is taken back until the open one is opened again
+    (`marks.culled_libraries`).
     """
     found = mask.remove_all()
     found |= emptying.fill_all()

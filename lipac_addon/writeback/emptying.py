@@ -58,6 +58,7 @@ def fill_all() -> bool:
         if (
             isinstance(data, bpy.types.ID)
             and ob.data is not None
+            and (ob.data.library is None or ob.library is not None or ob.override_library is not None)
             and _is_stand_in(ob.data)
             and type(data) is type(ob.data)
         ):
@@ -67,7 +68,7 @@ def fill_all() -> bool:
         block
         for kind in (bpy.data.meshes, bpy.data.curves)
         for block in kind
-        if _is_stand_in(block) and not block.users
+        if block.library is None and _is_stand_in(block) and not block.users
     ]
     if unused:
         bpy.data.batch_remove(unused)
@@ -122,8 +123,6 @@ def _new(kind: str, slots: int) -> bpy.types.ID:
 
 def _is_stand_in(data: bpy.types.ID) -> bool:
     """Whether data bears our mark, and is what we make: anyone can copy a mark."""
-    if data.library is not None:
-        return False
     if data.get(marks.KEY) == LEVEL:
         return isinstance(data, bpy.types.Mesh) and len(data.loops) == 3 * len(data.polygons)
     if data.get(marks.KEY) != _STAND_IN:

@@ -56,6 +56,14 @@ def all_marks() -> Words:
     return found
 
 
+def culled_libraries() -> list[str]:
+    """Linked files that were saved with marks, whose objects the file shows or overrides: what is taken back of these
+    holds until the file is opened again."""
+    marked = (ob for ob in all_marks() if KEY in ob)  # on no override of the file itself
+    of = (ob.override_library.reference if ob.override_library is not None else ob for ob in marked)
+    return sorted({ob.library.filepath for ob in of if ob.library is not None})
+
+
 def write(words: Iterable[tuple[bpy.types.Object, str]]) -> None:
     """Mark objects; to be done before what the words say."""
     overrides = []

@@ -59,7 +59,8 @@ def append(
 
 
 def remove_all() -> bool:
-    """Remove every mask modifier and all data-blocks made for them; True where there was one."""
+    """Remove every mask modifier and all data-blocks made for them; True where there was one. Those that come with a
+    linked file are switched off."""
     groups = {g for g in bpy.data.node_groups if is_ours(g)}
     masked = {ob for ob, words in marks.all_marks().items() if marks.MASKED in words}
     for ob in bpy.data.objects if groups else masked:
@@ -70,6 +71,11 @@ def remove_all() -> bool:
                 if m.type == "NODES" and (m.node_group in groups or (ob in masked and _is_emptied(m)))
             ]:
                 ob.modifiers.remove(modifier)
+    for ob in masked:
+        for modifier in [m for m in ob.modifiers if m.type == "NODES" and m.show_render]:
+            if modifier.node_group is not None and modifier.node_group.library and _looks_ours(modifier.node_group):
+                modifier.show_render = False
+                ob.update_tag()
     blocks = [*groups, *(b for kind in (bpy.data.objects, bpy.data.meshes) for b in kind if is_ours(b))]
     if blocks:
         bpy.data.batch_remove(blocks)
@@ -82,8 +88,13 @@ def _is_emptied(modifier: bpy.types.Modifier) -> bool:
 
 
 def is_ours(block: bpy.types.ID, mark: str = _MASK) -> bool:
-    """Whether a data-block bears our mark, and is what we make: anyone can copy a mark."""
-    if block.get(marks.KEY) != mark or block.library is not None:
+    """Whether a data-block of the file bears our mark, and is what we make: anyone can copy a mark."""
+    return block.library is None and _looks_ours(block, mark)
+
+
+def _looks_ours(block: bpy.types.ID, mark: str = _MASK) -> bool:
+    """The same of one that may be linked."""
+    if block.get(marks.KEY) != mark:
         return False
     if isinstance(block, bpy.types.NodeTree):
         return block.bl_idname == "GeometryNodeTree" and _inputs(block) in (

@@ -190,7 +190,20 @@ def _simulates(tree: bpy.types.NodeTree | None, seen: set[bpy.types.NodeTree]) -
 
 
 def scenes_in_picture(scene: bpy.types.Scene) -> set[bpy.types.Scene]:
-    """Other scenes that a render of this one shows: those that its compositor and its sequencer read."""
+    """Other scenes that a render of this one shows: those that its compositor and its sequencer read, what these read
+    in turn, and the sets behind them. The set behind the scene itself is analysed with it."""
+    found, front = set[bpy.types.Scene](), [scene]
+    while front:
+        of = front.pop()
+        new = _scenes_read_by(of) - found - {scene}
+        if of != scene and of.background_set not in (None, scene, *found):
+            new.add(of.background_set)
+        found |= new
+        front += new
+    return found
+
+
+def _scenes_read_by(scene: bpy.types.Scene) -> set[bpy.types.Scene]:
     found: set[bpy.types.Scene] = set()
     if scene.render.use_compositing:
         trees, front = set[bpy.types.NodeTree](), [getattr(scene, "compositing_node_group", None)]
@@ -204,7 +217,7 @@ def scenes_in_picture(scene: bpy.types.Scene) -> set[bpy.types.Scene]:
                 front += [getattr(node, "node_tree", None) for node in tree.nodes]
     if scene.render.use_sequencer and scene.sequence_editor is not None:
         found.update(strip.scene for strip in scene.sequence_editor.strips_all if strip.type == "SCENE" and strip.scene)
-    return found - {scene}
+    return found
 
 
 def _has_nodes(ob: bpy.types.Object) -> bool:

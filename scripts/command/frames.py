@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from ...core.files.report import Report
     from ...lipac_addon.batch.job import Job
 
+CULLED = "linked library was saved with culling applied, which is taken back here, nowhere else: Restore it in {}"
 MOST_LINES = 20  # of a kind that a command prints
 HESITATION = 0.5  # seconds until kernels are loaded that may not be needed: a small scene is open and weighed by then
 
@@ -64,6 +65,7 @@ def do_frames(
         from ...lipac_addon.batch.job import Job
         from ...lipac_addon.batch.pipeline import run
         from ...lipac_addon.open import AUTO, leave_modes, missing_libraries, open_scene, use_camera
+        from ...lipac_addon.writeback.marks import culled_libraries
 
         gc.freeze()  # what is loaded by now stays: who collects garbage need not look through it
         # where another process analyses, this one holds nothing of what that takes
@@ -134,7 +136,7 @@ def do_frames(
                 f"--resume: {args.output} was made otherwise ({what}); give the same options, or another -o, or begin "
                 "anew without --resume"
             )
-        report.note(report.warnings, missing_libraries())
+        report.note(report.warnings, [*missing_libraries(), *map(CULLED.format, culled_libraries())])
         with leaving(args.output):
             run(job, report, progress, cancelled)
     say(report.table(), sys.stdout)

@@ -225,12 +225,46 @@ def check(args: argparse.Namespace) -> None:
     check_memory(args)
     check_levels(args)
     check_device(args)
+    check_ahead(args)
+    check_policy(args)
     if args.verify and args.cull == "none":
         raise InputError("--verify measures what culling changes: with --cull none nothing does")
     if args.scene is not None and not args.scene.exists():
         raise InputError(f"no such file: {args.scene}")
     cull_options(args)
     output_folder(args.output)
+
+
+def check_policy(args: argparse.Namespace) -> None:
+    """Raise InputError where an option is of another policy than that of the command line: it would do nothing, and
+    say nothing."""
+    for policy in RULES.values():
+        own = policy.setting
+        if own is not None and policy.listed and policy.name != args.cull and getattr(args, own.name) is not None:
+            raise InputError(f"{own.option} is of --cull {policy.name}: give it with that, or leave it out")
+    if args.max_error is not None and args.min_share is not None:
+        raise InputError("--min-share takes the place of --max-error: give one of them")
+    if args.min_share is not None and args.cull != LIGHT_PATHS:
+        raise InputError(f"--min-share is of --cull {LIGHT_PATHS}: with --cull {args.cull} leave it out")
+    if args.max_error is not None and args.cull != LIGHT_PATHS and not args.verify:
+        raise InputError(
+            f"--cull {args.cull} keeps to no --max-error: leave one of them out, or have the error measured by --verify"
+        )
+
+
+def check_ahead(args: argparse.Namespace) -> None:
+    """Raise InputError where frames are to be analysed ahead, and cannot be."""
+    if getattr(args, "ahead", None) is not True:
+        return
+    if args.engine not in BLENDER_ENGINES:
+        raise InputError("--ahead is of Blender's engines, which render meanwhile: --engine cycles or eevee")
+    if args.cull != LIGHT_PATHS or args.bake != "frame" or args.enforce:
+        raise InputError(
+            f"--ahead is of --cull {LIGHT_PATHS}, where frames decide by themselves: leave --bake shot and --enforce "
+            "out"
+        )
+    if args.scene is None:
+        raise InputError("--ahead has another process look at the scene: name its file as SCENE")
 
 
 def check_memory(args: argparse.Namespace) -> None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...core.errors import Cancelled, InputError
+from ...core.files.shell import quoted
 from ...page.html import missing
 from .streams import say
 
@@ -20,7 +21,7 @@ NOT_HERE = (
 def not_here(folder: Path) -> str:
     """Why a folder's page cannot be written by this Python; nothing where it can."""
     lost = missing()
-    return NOT_HERE.format(libraries=", ".join(lost), folder=folder) if lost else ""
+    return NOT_HERE.format(libraries=", ".join(lost), folder=quoted(folder)) if lost else ""
 
 
 @contextmanager

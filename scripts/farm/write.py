@@ -112,6 +112,8 @@ def written(args: argparse.Namespace, progress: Progress, cancelled: Cancel) -> 
 
     if args.scene is not None:
         open_scene(args.scene)
+    elif not bpy.data.filepath:
+        raise InputError("SCENE is missing: name a .blend, or inside Blender save the open file first")
     scene = args.scene or Path(bpy.data.filepath)
     if scene.suffix.lower() != ".blend":
         raise InputError(f"{scene}: save it as a .blend first: that is what a farm's machines open")

@@ -259,6 +259,8 @@ BAD = [
         ["render", "BLEND", "-o", "out", "--texture-cache", "--engine", "path"],
         "--texture-cache is of Cycles; the path tracer is on the CPU",
     ),
+    (["render", "BLEND", "-o", "out", "--gi", "none"], "--gi is of --engine hybrid"),
+    (["render", "BLEND", "-o", "out", "--raster-samples", "2"], "--raster-samples is of --engine hybrid"),
     (["demo", "x", "-o", "x.blend"], "no demo scene"),
     (["demo", "mirror-city", "-o", "x.txt"], ".blend"),
     (["foo"], "unknown command"),

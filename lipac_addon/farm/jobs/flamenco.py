@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from pathlib import Path
 
 from ....core.files.atomic import replacing
+from ....core.files.shell import quoted
 from ..layout import FarmShot, write_json
 from .graph import Programs
 
@@ -21,16 +23,17 @@ def write(shot: FarmShot, chunk: int, programs: Programs) -> str:
     settings = {
         "frames": f"{shot.first}-{shot.last}",
         **{"chunk_size": chunk, "max_error": shot.mean, "verify": shot.checks},
-        **{"shot_folder": str(shot.folder), "blendfile": str(shot.scene), "lipac": programs.lipac[0]},
+        **{"shot_folder": str(shot.folder), "blendfile": str(shot.scene), "lipac": shlex.quote(programs.lipac[0])},
         "options": options_of(shot),
     }
     # as the manager names types
     name, kind = f"{shot.scene.stem} {shot.first}-{shot.last}", JOB_TYPE.stem.replace("_", "-")
     job = {"name": name, "type": kind, "priority": 50, "submitter_platform": "manager", "settings": settings}
-    write_json(shot.folder / "flamenco_job.json", job)
+    path = shot.folder / "flamenco_job.json"
+    write_json(path, job)
     return (
-        f"copy {script} into the folder scripts beside flamenco-manager; then Flamenco's panel has it, or "
-        f"curl -H 'Content-Type: application/json' -d @{shot.folder / 'flamenco_job.json'} MANAGER/api/v3/jobs"
+        f"copy {quoted(script)} into the folder scripts beside flamenco-manager; then Flamenco's panel has it, or "
+        f"curl -H 'Content-Type: application/json' -d {quoted(f'@{path}')} MANAGER/api/v3/jobs"
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ....core.files.shell import quoted
 from ..layout import FarmShot, write_json
 from .graph import BLENDER, FOLDER, FRAMES, ITEMS, LIPAC, SCENE, Programs, Step
 
@@ -65,7 +66,8 @@ def write(shot: FarmShot, steps: list[Step], programs: Programs) -> str:
         shot.folder / "parameter_values.json",
         {"parameterValues": [{"name": name, "value": value} for name, value in values.items()]},
     )
-    return f"openjd run {path} -p file://{given} --step {steps[-1].name} --run-dependencies"
+    parameters = quoted(f"file://{given}")
+    return f"openjd run {quoted(path)} -p {parameters} --step {steps[-1].name} --run-dependencies"
 
 
 def _step(step: Step) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 
 from ....core.errors import InputError
+from ....core.files.shell import quoted
 from ...console import muted
 from ..layout import FarmShot, read_json, write_json
 
@@ -25,7 +26,7 @@ def pack(shot: FarmShot, blender: str = "") -> dict[str, Any]:
     InputError.
     """
     if read_json(shot.united, key=shot.key) is None:
-        raise InputError(f"there is no set yet: run lipac shot unite {shot.folder} first")
+        raise InputError(f"there is no set yet: run lipac shot unite {quoted(shot.folder)} first")
     try:
         from blender_asset_tracer.cli.pack import create_pack, perform_path_rewriting
     except (ImportError, SyntaxError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from ....core.error_budget.budget import Budget
 from ....core.errors import InputError
 from ....core.files import atomic, usage
 from ....core.files.report import output_folder
-from ...writeback.marks import all_marks
+from ...writeback.marks import all_marks, culled_libraries
 from .. import render_frames
 from ..layout import SCRIPT, FarmShot
 from ..opening import digest_of, picture_ending
@@ -40,8 +41,10 @@ def write_shot(folder: Path, scene: Path, wanted: Wanted) -> FarmShot:
     if scene.resolve().parent == folder.resolve() and scene.name == "shot.blend":
         raise InputError(f"{scene} is what a shot is saved as: choose another folder with -o")
     if all_marks():
+        where = ", ".join(culled_libraries()) or "the file"
         raise InputError(
-            "LiPaC's culling is applied in the file: restore first, for frames are rendered in full, too, to compare"
+            f"LiPaC's culling is applied in {where}: restore there first, for frames are rendered in full, too, to "
+            "compare"
         )
     opened = bpy.context.scene
     if opened.render.use_multiview:
@@ -57,8 +60,8 @@ def write_shot(folder: Path, scene: Path, wanted: Wanted) -> FarmShot:
     frames = wanted.frames or tuple(range(opened.frame_start, opened.frame_end + 1))
     checks = min(len(frames), wanted.checks or max(2, -(-len(frames) // FRAMES_TO_A_CHECK)))
     shot = FarmShot(
-        folder.resolve(),
-        scene.resolve(),
+        Path(os.path.abspath(folder)),  # as they are called here: other machines may have other links
+        Path(os.path.abspath(scene)),
         digest_of(scene),
         frames[0],
         frames[-1],

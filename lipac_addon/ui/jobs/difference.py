@@ -124,6 +124,7 @@ def _show(pictures: list[np.ndarray]) -> None:
     pixels[..., :3] = np.abs(pictures[1][..., :3] - pictures[0][..., :3])
     image.pixels.foreach_set(pixels.ravel())
     image.update()
+    image.pack()  # else a file that is saved has it black, which is no difference
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "IMAGE_EDITOR":

@@ -4,6 +4,7 @@ other."""
 import json
 import subprocess
 import sys
+import time
 from argparse import Namespace
 from pathlib import Path
 
@@ -94,6 +95,44 @@ def test_waiting_can_be_cancelled(file, tmp_path):
     with Ahead([str(file)], FRAMES) as ahead, pytest.raises(Cancelled):
         ahead.take(1, tmp_path / "states.npz", lambda: True)
     assert ahead._process.returncode is not None
+
+
+PARENT = """
+import os, sys
+from lipac.lipac_addon.batch.ahead import Ahead
+ahead = Ahead(sys.argv[1:], (1, 3))
+print("AHEAD", ahead._process.pid, ahead._folder.name, flush=True)
+sys.stdin.read()
+"""
+
+
+def test_it_ends_with_who_waits_for_it_and_leaves_nothing(file, tmp_path):
+    """Killed, as a farm does; whatever lies in the current folder is no module of Python's."""
+    (tmp_path / "random.py").write_text("raise SystemExit('the wrong module')")
+    command = [sys.executable, "-P", "-c", PARENT, str(file)]
+    pipe = subprocess.PIPE
+    parent = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, cwd=tmp_path)
+    assert parent.stdin is not None and parent.stdout is not None
+    line = next(line for line in parent.stdout if line.startswith("AHEAD "))  # Blender says something before
+    _, pid, folder = line.strip().split(" ", 2)
+    states, limit = Path(folder) / "states", time.monotonic() + 120
+    while not states.exists() and time.monotonic() < limit:
+        time.sleep(0.05)
+    assert states.exists()
+    parent.kill()
+    parent.wait()
+    while (Path(folder).exists() or is_alive(int(pid))) and time.monotonic() < limit:
+        time.sleep(0.05)
+    assert not Path(folder).exists()
+    assert not is_alive(int(pid))
+    parent.stdin.close()
+    parent.stdout.close()
+
+
+def is_alive(pid):
+    """Whether there is a process, and it has not ended: nobody may have waited for it."""
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
 def test_when_it_is_done(monkeypatch):

@@ -64,6 +64,16 @@ def test_a_click_selects(textured):
     assert bpy.ops.lipac.select_memory(kind="object", name="box2") == {"CANCELLED"}
 
 
+def test_a_name_that_a_linked_object_shares(textured, tmp_path, monkeypatch):
+    """It is in no view layer, though one of its name is."""
+    library = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(library, {bpy.data.objects["box0"]})
+    with bpy.data.libraries.load(library, link=True) as (_found, wanted):
+        wanted.objects = ["box0"]
+    monkeypatch.setattr(results, "shown", lambda _scene: SimpleNamespace(find=lambda _name: wanted.objects[0]))
+    assert bpy.ops.lipac.select_memory(kind="object", name="box0") == {"CANCELLED"}
+
+
 def test_the_tooltip_says_why(textured):
     bpy.ops.lipac.analyze()
     text = LIPAC_OT_select_memory.description(bpy.context, SimpleNamespace(kind="object", name="box2"))

@@ -42,6 +42,15 @@ def test_a_job_is_written(saved: Any, tmp_path: Path, farm: str, file: str, capf
         assert (values["LiPaC"], values["Blender"]) == ("/opt/lipac", "/opt/blender")
 
 
+def test_a_folder_that_cannot_be_written(saved: Any, tmp_path: Path) -> None:
+    """Whatever the system says of it is told, and is no traceback."""
+    (tmp_path / "out" / "job.json").mkdir(parents=True)
+    with pytest.raises(RuntimeError) as told:
+        bpy.ops.lipac.submit_shot(folder=str(tmp_path / "out"))
+    assert "job.json" in str(told.value)
+    assert "Traceback" not in str(told.value)
+
+
 def test_what_stands_in_its_way(saved: Any) -> None:
     obstacle = LIPAC_OT_submit_shot.obstacle
     assert obstacle(bpy.context) == ""

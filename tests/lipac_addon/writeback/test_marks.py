@@ -238,3 +238,33 @@ def test_what_is_appended_from_a_culled_file(build, census_keys, shown, tmp_path
         for block in kind
         if block.name.startswith("LiPaC")
     ]
+
+
+@pytest.mark.parametrize("free", [False, True], ids=["masked", "emptied"])
+@pytest.mark.parametrize("overridden", [False, True], ids=["linked", "overridden"])
+def test_what_is_linked_from_a_culled_file(free, overridden, build, census_keys, shown, tmp_path):
+    """All of it is shown again, until the file is opened anew; whence it comes is told."""
+    build("nodes_object")
+    link(triangle("plain"), at=(0, 11, 0))
+    keys, _places = census_keys()
+    culled = ((keys.records["host"] >= 0) & (free | (np.arange(len(keys.records)) % 2 == 0))) | (
+        keys.records["object"] == keys.names.index("plain")
+    )
+    before = sum(n for (name, *_), n in shown().items() if name != "Sun")
+    assert apply(culled, keys, free=free).removed.sum() == culled.sum()
+    library = str(tmp_path / "culled.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=library)
+    assert marks.culled_libraries() == []
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(library, link=True) as (_found, wanted):
+        wanted.objects = ["host", "plain", "source", "Camera"]
+    for ob in wanted.objects:
+        bpy.context.scene.collection.objects.link(ob)
+    for ob in wanted.objects if overridden else ():
+        ob.override_create(remap_local_usages=True)
+    bpy.context.scene.camera = next(ob for ob in bpy.context.scene.objects if ob.type == "CAMERA")
+    assert sum(shown().values()) < before
+    assert marks.culled_libraries() == [library]
+    assert restore()
+    assert sum(shown().values()) == before
+    assert not restore()

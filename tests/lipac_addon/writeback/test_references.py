@@ -11,6 +11,7 @@ import pytest
 import lipac
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.writeback import apply, restore
+from lipac.lipac_addon.writeback.references import scenes_in_picture
 from lipac.tests.lipac_addon.writeback.conftest import link, points, scatter, triangle
 
 FIELD = Path(lipac.__file__).parent.parent / "shared" / "cases" / "field"
@@ -166,6 +167,20 @@ def test_another_scene_of_the_picture(new_file, census_keys):
     assert not apply(culled, keys).kept
 
 
+def test_scenes_behind_another_scene(new_file):
+    """What the compositor of a strip's scene reads is part of the picture, and the set behind that; the set behind the
+    scene itself is analysed with it."""
+    strip, read, backdrop, own = (bpy.data.scenes.new(name) for name in ("strip", "read", "set", "own"))
+    new_file.sequence_editor_create().strips.new_scene("strip", strip, 1, 1)
+    compose(strip, read)
+    read.background_set, new_file.background_set = backdrop, own
+    assert scenes_in_picture(new_file) == {strip, read, backdrop}
+    backdrop.background_set = new_file
+    assert scenes_in_picture(new_file) == {strip, read, backdrop}
+    strip.render.use_compositing = False
+    assert scenes_in_picture(new_file) == {strip}
+
+
 def compose(scene, other):
     """A compositor that shows two scenes."""
     tree = scene.compositing_node_group = bpy.data.node_groups.new("both", "CompositorNodeTree")
@@ -183,6 +198,7 @@ import bpy, numpy as np
 import lipac
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.writeback import apply, restore
+from lipac.lipac_addon.writeback.references import scenes_in_picture
 from lipac.tests.lipac_addon.writeback.conftest import collection, link, points, scatter, triangle
 from lipac.tests.lipac_addon.writeback.test_references import compose
 

@@ -104,3 +104,35 @@ def test_who_says_how_to_cull_is_analysed_in_any_case(options: str, open_: bool,
     args = scene_parser("render", "").parse_args(["scene.blend", "-o", str(tmp_path), *options.split()])
     assert args.if_it_pays == open_
     assert args.cull == "light-paths"
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ("--distance 3", "--distance is of --cull distance"),
+        ("--cull frustum --distance 3", "--distance is of --cull distance"),
+        ("--cull distance --max-error 0.1", "keeps to no --max-error"),
+        ("--min-share 0.1 --max-error 0.1", "takes the place of --max-error"),
+        ("--cull frustum --min-share 0.1", "--min-share is of --cull light-paths"),
+        ("--ahead --cull frustum", "--ahead is of --cull light-paths"),
+        ("--ahead --bake shot", "--ahead is of --cull light-paths"),
+        ("--ahead --verify --enforce", "--ahead is of --cull light-paths"),
+    ],
+)
+def test_what_would_do_nothing_is_refused(options: str, says: str, tmp_path: Path) -> None:
+    own = argparse.Namespace(ahead="--ahead" in options)
+    args = parsed(tmp_path, "cycles", *options.replace("--ahead", "").split())
+    with pytest.raises(InputError, match=says):
+        check(argparse.Namespace(**vars(args), **vars(own)))
+
+
+def test_an_error_that_is_measured_may_be_bounded_for_any_policy(tmp_path: Path) -> None:
+    check(parsed(tmp_path, "cycles", "--cull", "distance", "--distance", "3", "--max-error", "0.1", "--verify"))
+
+
+@pytest.mark.parametrize("engine", [name for name in ENGINES if name not in BLENDER_ENGINES])
+def test_ahead_is_of_engines_that_render_meanwhile(engine: str, tmp_path: Path) -> None:
+    args = parsed(tmp_path, engine)
+    args.ahead = True
+    with pytest.raises(InputError, match="of Blender's engines"):
+        check(args)

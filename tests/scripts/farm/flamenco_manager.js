@@ -11,7 +11,7 @@ const author = {
 };
 const path = { join: (...parts) => parts.join("/"), basename: (p) => p.split("/").pop(), dirname: (p) => p.split("/").slice(0, -1).join("/") };
 function print() {}
-function shellSplit(text) { return text.match(/(?:[^\s"]+|"[^"]*")+/g).map((word) => word.replace(/"/g, "")); }
+function shellSplit(text) { return text.match(/(?:[^\s"']+|"[^"]*"|'[^']*')+/g).map((word) => word.replace(/["']/g, "")); }
 function compiled(settings) {
     const job = { settings: settings, tasks: [] };
     job.addTask = (task) => { job.tasks.push(task); };

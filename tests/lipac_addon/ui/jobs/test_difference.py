@@ -80,6 +80,18 @@ def test_the_image_outlives_the_undo_of_a_later_edit(analyzed, monkeypatch):
     assert difference.IMAGE in bpy.data.images
 
 
+def test_the_image_is_saved_with_the_file(analyzed, tmp_path):
+    difference._show([np.zeros((9, 16, 4), np.float32), np.full((9, 16, 4), 0.25, np.float32)])
+    difference._show([np.zeros((9, 16, 4), np.float32), np.full((9, 16, 4), 2.5, np.float32)])  # measured again
+    bpy.data.images[difference.IMAGE].use_fake_user = True
+    path = str(tmp_path / "with image.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    pixels = np.empty(9 * 16 * 4, np.float32)
+    bpy.data.images[difference.IMAGE].pixels.foreach_get(pixels)
+    assert pixels.reshape(-1, 4)[:, :3].min() == 2.5
+
+
 def test_a_render_that_fails_is_one_line(analyzed, monkeypatch, tmp_path, capfd):
     broken = tmp_path / "broken.py"
     # what Blender says need be no UTF-8, nor in the encoding of the locale: here a name in Latin-1
