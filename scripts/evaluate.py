@@ -114,6 +114,8 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--quiet", action="store_true", help="no progress")
     args = parser.parse_args(argv)
     folder = output_folder(args.output)
+    if args.all and (args.scene is not None or args.family):
+        raise InputError("--all evaluates all scenes that there are: name no SCENE, and leave --family out")
     if args.all:
         return everything(args, folder)
     if args.family:

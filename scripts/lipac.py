@@ -36,6 +36,7 @@ STATUSES = {
     2: "unusable input: one line says what is wrong and what to do",
     3: "done, but a verification found the error budget broken",
     130: "stopped by Ctrl-C; finished frames and their report are kept",
+    143: "`lipac shot`: asked to end (SIGTERM), as farms ask; what is finished is kept",
 }
 ENVIRONMENT = {
     "LIPAC_CACHE_DIR": "folder for compiled kernels; by default in the user's cache folder",

@@ -261,6 +261,7 @@ BAD = [
     ),
     (["render", "BLEND", "-o", "out", "--gi", "none"], "--gi is of --engine hybrid"),
     (["render", "BLEND", "-o", "out", "--raster-samples", "2"], "--raster-samples is of --engine hybrid"),
+    (["evaluate", "BLEND", "-o", "out", "--all"], "--all evaluates all scenes"),
     (["demo", "x", "-o", "x.blend"], "no demo scene"),
     (["demo", "mirror-city", "-o", "x.txt"], ".blend"),
     (["foo"], "unknown command"),

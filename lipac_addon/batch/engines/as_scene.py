@@ -61,6 +61,8 @@ def render_as_scene(
     Raises InputError where Blender cannot render, or cannot write.
     """
     scene = bpy.context.scene
+    if frame < 0:  # a range begins at 0
+        raise InputError(f"--as-scene: frame {frame} is before 0; give --frames, or render it without --as-scene")
     if not rendered_layers(scene):
         raise InputError(f"scene {scene.name!r}: no view layer is used for rendering; switch one on")
     with ExitStack() as stack:

@@ -43,8 +43,7 @@ def write_shot(folder: Path, scene: Path, wanted: Wanted) -> FarmShot:
     if all_marks():
         where = ", ".join(culled_libraries()) or "the file"
         raise InputError(
-            f"LiPaC's culling is applied in {where}: restore there first, for frames are rendered in full, too, to "
-            "compare"
+            f"LiPaC's culling is applied in {where}: restore first, for frames are rendered in full, too, to compare"
         )
     opened = bpy.context.scene
     if opened.render.use_multiview:

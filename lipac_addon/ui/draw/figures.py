@@ -5,11 +5,18 @@ from __future__ import annotations
 import bpy
 
 from ... import roles
-from ...writeback.marks import HIDDEN, MASKED, PARTICLES
+from ...writeback.marks import COARSER, EMPTIED, HIDDEN, MASKED, PARTICLES, SIMPLIFIED
 from ..state import results
 
 LONGEST = 40  # characters of a line in a sidebar of usual width
-_HIDDEN = {HIDDEN: "all of it", MASKED: "instances that it scatters", PARTICLES: "its particles"}
+_HIDDEN = {
+    HIDDEN: "all of it",
+    MASKED: "instances that it scatters, or faces",
+    PARTICLES: "its particles",
+    EMPTIED: "what it is made of",
+    SIMPLIFIED: "some of its faces",
+    COARSER: "levels of its subdivision",
+}
 
 
 def lines(text: str, width: int = LONGEST) -> list[str]:

@@ -5,13 +5,17 @@ A script, not a module: the Blender that runs it need not have the add-on.
 """
 
 import json
+import os
 import runpy
 import sys
+import threading
 import time
 from pathlib import Path
 
 import bpy
 
+if __name__ == "__main__":  # who waits for it keeps its input open; where that has ended, however, so does this
+    threading.Thread(target=lambda: (os.read(0, 1), os._exit(1)), daemon=True).start()
 blend, name, frame, out = sys.argv[sys.argv.index("--") + 1 :]
 bpy.ops.wm.open_mainfile(filepath=blend, load_ui=False, use_scripts=False)
 scene = bpy.data.scenes[name]

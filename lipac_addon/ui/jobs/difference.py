@@ -70,6 +70,7 @@ class DifferenceJob(Job):
         with (folder / f"{what}.log").open("w+", encoding="utf-8", errors="replace") as log:
             child = subprocess.Popen(
                 [*program, str(_CHILD), "--", *arguments],
+                stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 creationflags=_NO_WINDOW,
@@ -81,6 +82,8 @@ class DifferenceJob(Job):
             finally:
                 child.kill()
                 child.wait()
+                assert child.stdin is not None
+                child.stdin.close()
             log.seek(0)
             said = [line for line in log if line.startswith("LIPAC ")]
             if child.returncode or not said:

@@ -10,13 +10,21 @@ import numpy as np
 
 from ... import roles, writeback
 from ...keys import Kind
-from ...writeback.marks import HIDDEN, MASKED, all_marks
+from ...writeback.marks import COARSER, EMPTIED, HIDDEN, MASKED, PARTICLES, SIMPLIFIED, all_marks
 from ...writeback.references import scenes_in_picture
 from . import results, scatters, session
 from .results import FrameResult
 
 CHANGED = "their scatter has changed since the analysis: analyze again"
 MULTI_VIEW = "Stereoscopy renders from several cameras, of which only one is analyzed: switch it off"
+_COUNTED = (  # words of marks, and what to say of so many
+    (HIDDEN, "objects"),
+    (MASKED, "scatters in part"),
+    (PARTICLES, "particle systems"),
+    (EMPTIED, "sources"),
+    (SIMPLIFIED, "meshes, simplified"),
+    (COARSER, "levels of subdivision"),
+)
 notes: tuple[str, ...] = ()  # of the last `apply`: which culled instances stay, and why
 
 
@@ -179,8 +187,8 @@ def status(scene: bpy.types.Scene) -> tuple[str, bool]:
         return f"Renders hide what frame {frame} does not need", False
     if owner is None:
         words = [word for words in marks().values() for word in words]
-        counts = ((words.count(HIDDEN), "objects"), (words.count(MASKED), "scatters in part"))
-        what = ", ".join(f"{count:,} {name}" for count, name in counts if count) or "particles"
+        counts = ((sum(word.startswith(own) for word in words), name) for own, name in _COUNTED)
+        what = ", ".join(f"{count:,} {name}" for count, name in counts if count) or "nothing that is there any more"
         return f"Hidden from renders, by another session or file: {what}. Restore shows all", True
     frames = frames_of(owner)
     when = f"frame {frames[0]}" if len(frames) == 1 else f"frames {frames[0]} to {frames[-1]}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -17,7 +18,12 @@ def count() -> int:
 
 def size() -> int:
     """Bytes of the compiled kernels of all versions."""
-    return sum(path.stat().st_size for folder in _folders() for path in folder.rglob("*") if path.is_file())
+    found = 0
+    for path in (path for folder in _folders() for path in folder.rglob("*")):
+        with suppress(OSError):  # another Blender puts it in place just now
+            if path.is_file():
+                found += path.stat().st_size
+    return found
 
 
 def clear() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,7 +104,8 @@ def _use_cache() -> None:
     if get().cache:
         os.environ[_CACHE] = bpy.path.abspath(get().cache)
     elif ROOT.startswith(_EXTENSIONS) and _given is None:
-        os.environ[_CACHE] = bpy.utils.extension_path_user(ROOT, path="kernels", create=True)
+        with suppress(OSError):  # a user whose folder is read-only has the cache where the engine puts it
+            os.environ[_CACHE] = bpy.utils.extension_path_user(ROOT, path="kernels", create=True)
 
 
 def register() -> None:

@@ -11,7 +11,7 @@ import pytest
 from lipac.core.culling.options import CullOptions
 from lipac.core.errors import InputError
 from lipac.core.files.report import Report
-from lipac.lipac_addon.batch.engines.as_scene import engine_of, files_of
+from lipac.lipac_addon.batch.engines.as_scene import engine_of, files_of, render_as_scene
 from lipac.lipac_addon.batch.job import SHOT, Job
 from lipac.lipac_addon.batch.pipeline import REGION, STEREO, run
 from lipac.lipac_addon.pictures import read_picture
@@ -195,6 +195,12 @@ def test_what_cannot_be_rendered_so_is_refused(boxes):
     boxes.render.image_settings.media_type, boxes.render.image_settings.file_format = "VIDEO", "FFMPEG"
     with pytest.raises(InputError, match=r"^--as-scene: scene 'Scene' is rendered to a film"):
         engine_of(boxes)
+
+
+def test_a_frame_before_0_is_refused(boxes):
+    """Blender's range of frames begins at 0: it would render that, and overwrite its file."""
+    with pytest.raises(InputError, match=r"^--as-scene: frame -3 is before 0"):
+        render_as_scene("cycles", -3)
 
 
 def test_by_the_command(asking, tmp_path, capfd):

@@ -15,6 +15,7 @@ from lipac.lipac_addon.ui.jobs import difference, job, live
 from lipac.lipac_addon.ui.jobs.analysis import AnalysisJob
 from lipac.lipac_addon.ui.state import applying, results, session
 from lipac.lipac_addon.writeback import apply as write_back
+from lipac.lipac_addon.writeback import marks
 
 FAR = {"box4", "box5", "box6", "box7"}
 
@@ -150,6 +151,23 @@ def test_what_is_not_known_any_more_is_shown_rather_than_missing(analyzed, tmp_p
 
 def culled_by_someone(scene, result):
     write_back(result.culled, result.current_keys())
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [
+        (marks.PARTICLES + "5", "1 particle systems"),
+        (marks.EMPTIED, "1 sources"),
+        (marks.SIMPLIFIED, "1 meshes, simplified"),
+        (f"{marks.COARSER}5:3:1", "1 levels of subdivision"),
+    ],
+)
+def test_each_mark_is_called_what_it_is(scene, word, says):
+    bpy.data.objects["box0"][marks.KEY] = word
+    applying.recount()
+    assert said(scene) == (f"Hidden from renders, by another session or file: {says}. Restore shows all", True)
+    assert figures.rows_of_renders([word])
+    applying.restore()
 
 
 def test_an_analysis_of_a_file_that_is_culled_already(scene, analyzed, hidden):

@@ -1,5 +1,7 @@
 """Render Difference: two renders by Blenders of their own, and what is said of them."""
 
+import subprocess
+import sys
 import time
 
 import bpy
@@ -90,6 +92,15 @@ def test_the_image_is_saved_with_the_file(analyzed, tmp_path):
     pixels = np.empty(9 * 16 * 4, np.float32)
     bpy.data.images[difference.IMAGE].pixels.foreach_get(pixels)
     assert pixels.reshape(-1, 4)[:, :3].min() == 2.5
+
+
+def test_a_render_ends_with_who_waits_for_it(boxes_file, tmp_path):
+    """Its input ends then, whatever became of that: nobody goes on to render for a Blender that has crashed."""
+    command = [sys.executable, str(difference._CHILD), "--", str(boxes_file), "Scene", "1", str(tmp_path / "x.exr")]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "LIPAC" not in done.stdout
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_render_that_fails_is_one_line(analyzed, monkeypatch, tmp_path, capfd):

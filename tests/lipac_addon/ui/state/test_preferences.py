@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import bpy
 import pytest
@@ -72,6 +73,36 @@ def test_kernels_of_other_versions_are_not_counted(tmp_path, monkeypatch):
     (tmp_path / new / "core" / "0.1.nbc").write_bytes(bytes(100))
     assert kernels.count() == 3
     assert kernels.size() == 900
+
+
+def test_a_kernel_that_goes_while_it_is_measured(tmp_path, monkeypatch):
+    """numba writes under another name first; the preferences are drawn meanwhile."""
+    monkeypatch.setenv("LIPAC_CACHE_DIR", str(tmp_path))
+    folder = tmp_path / "kernels-3.13-00000000000a"
+    folder.mkdir()
+    for name in (".lipac-kernels", "a.nbi", "tmp.b.nbi"):
+        (folder / name).write_bytes(bytes(100))
+    stat = Path.stat
+
+    def gone(path, **options):
+        if path.name == "tmp.b.nbi":
+            raise FileNotFoundError(path)
+        return stat(path, **options)
+
+    monkeypatch.setattr(Path, "is_file", lambda _path: True)
+    monkeypatch.setattr(Path, "stat", gone)
+    assert kernels.size() == 200
+
+
+def test_an_extension_is_enabled_where_its_folder_is_read_only(monkeypatch):
+    def refused(*_names, **_options):
+        raise PermissionError("read-only")
+
+    monkeypatch.setattr(preferences, "ROOT", "bl_ext.studio.lipac")
+    monkeypatch.setattr(bpy.utils, "extension_path_user", refused)
+    monkeypatch.delenv("LIPAC_CACHE_DIR", raising=False)
+    preferences._use_cache()
+    assert "LIPAC_CACHE_DIR" not in os.environ
 
 
 def test_the_button_removes_what_is_ours_alone(tmp_path, monkeypatch):
