@@ -247,8 +247,8 @@ def test_a_full_disk_leaves_nothing_half(shot: FarmShot, step: str) -> None:
     there = set(times(shot.folder))
     limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (600, resource.RLIM_INFINITY)); "
     code = limited + "from lipac.scripts.lipac import main; sys.exit(main(sys.argv[1:]))"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "shot", step, str(shot.folder), "--quiet"],
+    done = subprocess.run(  # -B: Python itself would leave half of the modules that it compiles
+        [sys.executable, "-B", "-c", code, "shot", step, str(shot.folder), "--quiet"],
         capture_output=True,
         text=True,
         timeout=100,
