@@ -45,7 +45,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
         *SMALL[:2], *SMALL[4:]
     ),
 }
-INTERRUPTED = 500  # seconds that a command may take
+INTERRUPTED = 130  # seconds that a command may take; of two a seed, within the limit of a child process
 
 
 def run(seed: int, what: str | None = None) -> dict[str, Any]:
@@ -228,7 +228,7 @@ def command(choose: Seeded, what: str) -> list[str]:
         with suppress(subprocess.TimeoutExpired):
             process.wait(moment)
         process.send_signal(signal.SIGKILL if fault == "killed" else signal.SIGINT)
-    lines = process.communicate(timeout=INTERRUPTED)[1].strip().splitlines()
+    lines = words(process, f"{what}, {fault}").strip().splitlines()
     _check_left(work, what, before)
     allowed = {"killed": (0, -9), "cancelled": (0, 130, -2), "full disk": (0, 1, 2)}.get(fault)
     assert allowed is None or process.returncode in allowed, (
@@ -239,7 +239,7 @@ def command(choose: Seeded, what: str) -> list[str]:
     )
     if choose.integer(0, 3) == 3:
         again = lipac(work, *COMMANDS[what])
-        said = again.communicate(timeout=INTERRUPTED)[1]
+        said = words(again, f"{what}, {fault}, and once more")
         assert again.returncode == 0, f"{what}, {fault}, and once more: status {again.returncode}: {said[-300:]}"
         _check_left(work, what, before)
         if what == "render path":
@@ -248,6 +248,17 @@ def command(choose: Seeded, what: str) -> list[str]:
             )
         return [fault, "and resumed"]
     return [fault]
+
+
+def words(process: subprocess.Popen[str], what: str) -> str:
+    """What a command has said on stderr when it has ended. Raises AssertionError where it does not end; then it is
+    ended."""
+    try:
+        return process.communicate(timeout=INTERRUPTED)[1]
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+        raise AssertionError(f"{what}: does not end within {INTERRUPTED} s") from None
 
 
 def _check_left(work: Path, what: str, before: dict[str, str]) -> None:

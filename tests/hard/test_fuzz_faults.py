@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 
 import bpy
@@ -32,6 +33,14 @@ def test_an_apply_that_leaves_something_is_found(monkeypatch: pytest.MonkeyPatch
         for seed in range(FIRST, FIRST + 10):
             fuzz_faults.run(seed, "apply")
     bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def test_a_command_that_does_not_end_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fuzz_faults, "INTERRUPTED", 0.1)
+    process = subprocess.Popen([sys.executable, "-c", "while True: pass"], stderr=subprocess.PIPE, text=True)
+    with pytest.raises(AssertionError, match="does not end"):
+        fuzz_faults.words(process, "it")
+    assert process.poll() is not None
 
 
 @pytest.mark.parametrize("what", fuzz_faults.COMMANDS)
