@@ -33,6 +33,7 @@ from .graph_items import Node, linked_materials
 from .instances import Placed, Placer
 from .lights import place_lamps
 from .materials.displacement import Relief
+from .materials.ranges import FARTHEST
 from .materials.reader import WORTHLESS
 from .materials.shaders import PORTAL
 from .shading import Shading, ShadingReader, linked_emission, same_array, with_parts
@@ -138,7 +139,7 @@ class SceneReader:
         linked, names = linked_materials(graph.order), tuple(graph.geometry.slots.order)
         lines, materials = linked_emission(shading.materials, names, linked, self.most)
         reliefs = self._reliefs(shading, nodes)
-        materials = self._anywhere(materials, reliefs, shading)
+        materials = self._anywhere(materials, reliefs, shading, nodes)
         graph.geometry.meshes.displace(reliefs)
         placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(
             nodes
@@ -268,19 +269,29 @@ class SceneReader:
                 )
         return out
 
-    def _anywhere(self, materials: Records, reliefs: dict[int, Relief], shading: Shading) -> Records:
+    def _anywhere(
+        self, materials: Records, reliefs: dict[int, Relief], shading: Shading, nodes: Sequence[Node]
+    ) -> Records:
         """Materials, of which those that displace a mesh by much of its size are marked: what it looks like is not
-        known, nor whether it is there."""
-        rows: set[int] = set()
+        known, nor whether it is there, and what lies about may shade it. nodes: as of `_reliefs`."""
+        rows: dict[int, float] = {}  # and within how many metres it may be
+        scales: dict[int, float] = {}
+        for node in nodes if reliefs else ():
+            mesh = -1 if node.geometry is None else node.geometry.mesh
+            scales[mesh] = max(scales.get(mesh, 0.0), float(np.linalg.norm(node.world[:, :3], axis=0).max()))
         for mesh, offset in self.graph.geometry.pairs:
             relief, source = reliefs.get(mesh), self.graph.geometry.meshes.source(mesh)
             if relief is not None and relief.high - relief.low > MUCH * float(np.linalg.norm(np.ptp(source.bounds, 0))):
                 slots = shading.slot_materials[offset : offset + source.slot_count].tolist()
-                rows |= {slot for slot in slots if shading.reliefs[slot] is not None}
+                reach = min((relief.high - relief.low) * scales.get(mesh, np.inf), FARTHEST)
+                rows |= {slot: max(reach, rows.get(slot, 0.0)) for slot in slots if shading.reliefs[slot] is not None}
         if not rows:
             return materials
         materials = materials.copy()
-        materials["unsure"][with_parts(materials, rows)] |= np.uint32(Unsure.CLEAR)
+        materials["unsure"][with_parts(materials, set(rows))] |= np.uint32(Unsure.CLEAR)
+        for row, reach in rows.items():
+            parts = with_parts(materials, {row})
+            materials["reach"][parts] = np.maximum(materials["reach"][parts], reach)
         return materials
 
     def _textured(self, pairs: set[tuple[int, int]], shading: Shading) -> set[int]:

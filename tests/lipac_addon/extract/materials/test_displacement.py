@@ -154,12 +154,12 @@ def test_unknown_heights_reach_as_far_as_the_object() -> None:
 
 @pytest.mark.parametrize(("scale", "clear"), [(0.5, False), (1.5, True)])
 def test_displaced_by_much_of_its_size_it_may_not_be_there(scale: float, clear: bool) -> None:
-    """By more than a quarter of the diagonal of its box. A cube that is displaced by less, and one of another
-    material, are there."""
+    """By more than a quarter of the diagonal of its box: then what lies within as many metres may shade it. A cube that
+    is displaced by less, and one of another material, are there."""
     for name, times in (("rock", 1.0), ("plain", 0.0)):
         mesh = cube(name)
         mesh.materials.append(displaced(noise, midlevel=0.5, scale=scale * times * np.sqrt(12) / 4).material)
-        add(name, mesh, location=(4 * times, 0, 0))
+        add(name, mesh, location=(4 * times, 0, 0), scale=(1, 3, 2))
     scene = extract_frame(bpy.context.scene).scene
     by_name = dict(zip(scene.slot_materials.tolist(), scene.materials, strict=False))
     displacing = [m for m in by_name.values() if m["shader"] == Shader.MIX]
@@ -167,6 +167,8 @@ def test_displaced_by_much_of_its_size_it_may_not_be_there(scale: float, clear: 
     assert len(displacing) == 1
     assert [int(scene.materials[row]["unsure"]) for row in rows] == 2 * [3 if clear else 1]
     assert sum(int(m["unsure"]) > 0 for m in scene.materials) == (3 if clear else 2)
+    reach = sorted(scene.materials["reach"].tolist())[-3:]
+    np.testing.assert_allclose(reach, 3 * scale * np.sqrt(12) / 4 if clear else 0.0, rtol=1e-5)
 
 
 def test_displacement_in_world_space_is_scaled_back(rock: Tree) -> None:
