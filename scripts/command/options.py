@@ -246,7 +246,7 @@ def check_policy(args: argparse.Namespace) -> None:
         raise InputError("--min-share takes the place of --max-error: give one of them")
     if args.min_share is not None and args.cull != LIGHT_PATHS:
         raise InputError(f"--min-share is of --cull {LIGHT_PATHS}: with --cull {args.cull} leave it out")
-    if args.max_error is not None and args.cull != LIGHT_PATHS and not args.verify:
+    if args.max_error is not None and args.cull not in {LIGHT_PATHS, "none"} and not args.verify:
         raise InputError(
             f"--cull {args.cull} keeps to no --max-error: leave one of them out, or have the error measured by --verify"
         )

@@ -128,6 +128,7 @@ def test_what_would_do_nothing_is_refused(options: str, says: str, tmp_path: Pat
 
 def test_an_error_that_is_measured_may_be_bounded_for_any_policy(tmp_path: Path) -> None:
     check(parsed(tmp_path, "cycles", "--cull", "distance", "--distance", "3", "--max-error", "0.1", "--verify"))
+    check(parsed(tmp_path, "cycles", "--cull", "none", "--max-error", "0.1"))  # keeps to any
 
 
 @pytest.mark.parametrize("engine", [name for name in ENGINES if name not in BLENDER_ENGINES])
