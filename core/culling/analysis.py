@@ -23,7 +23,7 @@ from ..feedback.tiles import DARK, marks
 from ..files.figures import percent
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
-from .certificate import MORE, STEEPEST, Certificate, Verdict
+from .certificate import LEVELS, MORE, STEEPEST, Certificate, Verdict
 from .levels.levelled import CULLING, PROPOSALS, Levelled, has_levels, levelled
 from .loop import Loop, all_stay
 from .measurement import DARKNESS, Measurement, Traced, evidence
@@ -38,7 +38,9 @@ PRICELESS = 50.0
 COINCIDENT = 1e-3  # share of places with coincident surfaces from which on a warning tells of them
 DENSER_TIMES = 2  # how often at most a measurement gets more paths in some tiles
 DOUBTS = 2  # sets that a search gives up for noise before that
-ATTEMPTS = 3  # at a certificate, each by a measurement of twice the paths of the one before
+# of the doubt, what a first certificate has, nearly always the only one, and another after a measurement of twice the
+# paths
+ATTEMPTS = (0.8, 0.2)
 # Where memory is limited: by how much the budget is widened at a time, from a least one on, up to which mean
 WIDER, LEAST_BOUND, WIDEST = 4.0, 0.002, 2.0
 
@@ -118,7 +120,7 @@ def by_budget(loop: Loop, measured: Measurement, budget: Budget, progress: Progr
     What each instance is worth alone does not say what many are worth together, nor what lies behind them: `Search`
     traces without them and finds out. The sets that it finds are then judged by paths that chose none of them. Where
     even the smallest of them may break the budget, these paths have met what the others did not: all is measured again,
-    by twice as many; once also where nothing may go, though the search says so. In the end what is not certified stays.
+    by twice as many. In the end what is not certified stays.
 
     Hysteresis over frames: what the last frame culled is culled again, and nothing else that paths meet, while that
     uses at least 1 / options.hysteresis of the budget; else bytes that go with what it kept count for less by that
@@ -135,7 +137,7 @@ def _within(
     if not has_levels(loop):
         return _judged(loop, measured, budget, progress)[:-1], None
     tighter = Budget(CULLING * budget.mean, CULLING * budget.worst)
-    judged = _judged(loop, measured, tighter, part(progress, 0.0, 0.4), PROPOSALS)
+    judged = _judged(loop, measured, tighter, part(progress, 0.0, 0.4), PROPOSALS + LEVELS)
     measured, units, steps, verdict, searched, certificate = judged
     if verdict.cull is not None:
         keep = loop.twins.joined(loop.scene.instances.bounds, verdict.keep | loop.activation.pinned)
@@ -144,7 +146,8 @@ def _within(
         if found is not None:
             return (measured, units, steps, found.verdict(verdict, certificate), searched), found
     # all of the budget is culling's, but for the doubt that was spent on levels
-    measured, units, steps, verdict, more, _ = _judged(loop, measured, budget, part(progress, 0.8, 1.0), PROPOSALS)
+    within = part(progress, 0.8, 1.0)
+    measured, units, steps, verdict, more, _ = _judged(loop, measured, budget, within, PROPOSALS + LEVELS)
     return (measured, units, steps, verdict, searched + more), None
 
 
@@ -212,8 +215,9 @@ def _judged(
 ) -> tuple[Measurement, Units, list[Choice], Verdict, int, Certificate]:
     """What surely keeps a budget, with the measurement, the units and the sets that it is of, how many paths were
     traced for these, and the certificate. more: as of `Certificate`."""
-    attempts = 1 if loop.limited else ATTEMPTS
-    for attempt in range(attempts):
+    shares = (1.0,) if loop.limited else ATTEMPTS
+    attempts = len(shares)
+    for attempt, share in enumerate(shares):
         within = part(progress, attempt / attempts, (attempt + 1) / attempts)
         measured, search, steps, searched = _searched(loop, measured, budget, part(within, 0.0, 0.5))
         ids, units = measured.tlas.ids, search.units
@@ -222,10 +226,10 @@ def _judged(
             return kept_of(loop, units, cull, ids)
 
         sets = [step.cull for step in steps if loop.limited or step.cull.any()]
-        certificate = Certificate(loop, measured.next_sample, measured.samples, budget, more=more)
+        confidence = 1 - share * (1 - CONFIDENCE)
+        certificate = Certificate(loop, measured.next_sample, measured.samples, budget, confidence, more)
         verdict = certificate.walk(sets, units, keep_of, partial(gain, units, search.savings), part(within, 0.5, 0.9))
-        fruitless = verdict.cull is None or (attempt == 0 and len(sets) > 0 and not verdict.cull.any())
-        if not fruitless or attempt == attempts - 1:
+        if attempt == attempts - 1 or not sets or verdict.cull is None or verdict.cull.any():
             break
         measured = loop.measure(None, 2 * measured.log.shape[2], part(within, 0.9, 1.0))
     return measured, units, steps, verdict, searched, certificate
@@ -322,7 +326,7 @@ def _search(loop: Loop, measured: Measurement, budget: Budget) -> Search:
 
     def trial(traced: Traced, light: F64 | None) -> Trial:
         height, width, _ = traced.log.shape
-        only, buffer = marks(traced.samples, height, width), PathLog.zeros(*traced.log.shape)
+        only, buffer = marks(traced.samples, height, width), PathLog.zeros(*traced.log.shape, backdrop=loop.backdrop)
 
         def without(cull: np.ndarray, paths: NDArray[np.uint8]) -> PathLog:
             if not built or (built[0][0] != cull).any():
@@ -348,7 +352,7 @@ def units_measured(loop: Loop, measured: Measurement, budget: Budget, light: Lig
         worth = measured.worth
         savings = _savings(loop, ids)
         must = loop.activation.pinned.copy()
-        must[ids[(worth > PRICELESS).any(axis=1)]] = True
+        must[ids[measured.weights.unbounded | (worth > PRICELESS).any(axis=1)]] = True
         emitters = loop.seen
         share = light.share(emitters.tile, emitters.color)
         seen = Seen(measured.tlas.entry_of(len(loop.activation))[emitters.instance], emitters.tile, share)

@@ -11,7 +11,7 @@ nothing else is culled that is worth anything to it, and the walk goes on for th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -180,15 +180,13 @@ class Certificate:
         estimate = self._estimate(staying)
         while doubts and not estimate.surely_holds(self.budget, self.each) and self._look_again(estimate, progress):
             estimate = self._estimate(staying)
-        if len(self.loop.seen) and estimate.surely_holds(self.budget, self.each):
-            estimate = replace(estimate, owed=estimate.owed + self._revealed(keep, staying.tlas))
         return estimate
 
-    def _revealed(self, keep: np.ndarray, tlas: Tlas) -> F64:
-        """(T,) what the camera sees of small emitters that several instances hid of which none is in tlas any more, as
-        a share of the tile's light."""
-        more = self.loop.tracer.seen_emitters(tlas).shown(keep) - self._layers[0].emitters.shown(keep)
-        return self._light.share(np.arange(TILES, dtype=np.int32), np.maximum(more, 0.0))
+    def _revealed(self, tracer: FrameTracer, keep: np.ndarray, tlas: Tlas) -> F64:
+        """(T, 3) mean radiance of small emitters that the camera sees because of all that hid them nothing is in tlas
+        any more. That none was seen before says nothing: several instances may have hidden all of them."""
+        more = tracer.seen_emitters(tlas).shown(keep) - self._layers[0].emitters.shown(keep)
+        return np.asarray(np.maximum(more, 0.0))
 
     def judge_exchanged(
         self, tracer: FrameTracer, keep: np.ndarray, tlas: Tlas, budget: Budget, progress: Progress = silent
@@ -200,7 +198,7 @@ class Certificate:
         takes to be sure, or as are left.
         """
         difference: Difference | None = None
-        traced = 0
+        revealed, traced = self._revealed(tracer, keep, tlas), 0
         while True:
             for layer in self._layers[traced:]:
                 found = layer.exchanged(tracer, keep, tlas)
@@ -208,7 +206,7 @@ class Certificate:
                 self.paths += int(np.count_nonzero(layer.only))
             traced = len(self._layers)
             assert difference is not None
-            estimate = self._estimated(difference, keep)
+            estimate = self._estimated(difference, keep, revealed)
             if estimate.surely_holds(budget, self.each) or not self._look_again(estimate, progress, budget):
                 return estimate
 
@@ -216,13 +214,16 @@ class Certificate:
         for layer in self._layers:
             self.paths += layer.propose(staying)
         difference = sum((layer.trial.trace() for layer in self._layers[1:]), self._layers[0].trial.trace())
-        return self._estimated(difference, staying.keep)
+        revealed = self._revealed(self.loop.tracer, staying.keep, staying.tlas)
+        return self._estimated(difference, staying.keep, revealed)
 
-    def _estimated(self, difference: Difference, keep: np.ndarray) -> ErrorEstimate:
-        """By what paths differ by, and what is charged where keep, (N,) bool, stays."""
+    def _estimated(self, difference: Difference, keep: np.ndarray, revealed: F64) -> ErrorEstimate:
+        """By what paths differ by, and what is charged where keep, (N,) bool, stays. revealed: as of `_revealed`."""
         seen, light = self.loop.seen, self._light
         unmet = Seen(seen.instance, seen.tile, light.share(seen.tile, seen.color)).without(keep)
-        return light.estimate(difference, self.unknown + unmet)
+        return light.estimate(
+            difference, self.unknown + unmet + light.share(np.arange(TILES, dtype=np.int32), revealed)
+        )
 
     def _accept(self) -> None:
         for layer in self._layers:
@@ -269,7 +270,7 @@ class _Layer:
         light = witness.light if any(hits.lamps_known for hits in loop.scene.first_hits.values()) else None
         self.reference = Reference(witness.log, only, light, loop.known)
         self.trial = Trial(self.reference, witness.log, self._without, only)
-        self._buffer = PathLog.zeros(*only.shape)
+        self._buffer = PathLog.zeros(*only.shape, backdrop=loop.backdrop)
 
     @cached_property
     def emitters(self) -> SeenEmitters:

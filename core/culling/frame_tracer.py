@@ -220,7 +220,7 @@ class FrameTracer:
             first_sample=first_sample,
             seed=self._options.seed,
             feedback=feedback,
-            hitbox_every=self._options.hitbox_every,
+            hitbox_every=self._options.hitbox_every if log is None else 1,  # what is logged is to be complete
             nearest=BOXES_AMONG_PARTS if len(self.scene.instances) > 2 * self._whole else BOXES_PER_SEGMENT,
             size=size,
             threads=self._options.threads,

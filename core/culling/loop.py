@@ -18,14 +18,14 @@ from ..accel.hitboxes import Hitboxes
 from ..accel.region_tree import Cut
 from ..accel.residency import Residency
 from ..accel.tlas import Tlas
-from ..arrays import F32, I64
+from ..arrays import F32, F64, I64
 from ..feedback.hits import Weights
 from ..feedback.path_log import PathLog
 from ..feedback.tiles import TILES, marks, tile_means
 from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
-from ..scene.model import RAY_TYPES, Scene
+from ..scene.model import RAY_TYPES, Film, Scene
 from ..scene.twins import Twins
 from ..threads import limit
 from ..tracing.seen_emitters import NONE_SEEN, SeenEmitters
@@ -68,7 +68,7 @@ class Loop:
         self.residency = Residency(self.blas, *budgets, options.hysteresis)
         self.cold = True  # nothing is known yet of what paths need
         self.division = Division.of(scene, options, self.limited)
-        self.ambient = 0.0  # mean luminance of the picture, as the last round saw it
+        self.light, self.ambient, self.backdrop = np.zeros(TILES), 0.0, 0.0  # `brightness` of the last round
         self.known = np.ones(TILES)  # share of the light of each tile that is surely there, by the last measurement
         self.twins = Twins()
         self.tracer = FrameTracer(scene, options, self.residency, cancelled)
@@ -128,7 +128,7 @@ class Loop:
             else:
                 samples = max(1, self.options.round_paths_per_pixel(self.scene.film) // sparser)
                 feedback, picture = self.tracer.trace(tlas, samples, boxes)
-            self.ambient = mean_luminance(picture)
+            self.light, self.ambient, self.backdrop = brightness(picture, self.scene.film)
             with self.timer.step("feedback_s"):
                 asked = self.activation.open_requested_boxes(cut, feedback, emissive)
             if coarse:
@@ -141,7 +141,7 @@ class Loop:
                 break
         if self.options.min_share is None:
             self.seen = self.tracer.seen_emitters(self.tracer.build(self.activation.active))
-            if self.activation.activate_seen_emitters(self.seen, tile_means(picture), self.options.max_error):
+            if self.activation.activate_seen_emitters(self.seen, self.light, self.options.max_error):
                 tlas = None
         return self.measure(tlas, max(1, self.first_samples // sparser), part(progress, 0.5, 1.0))
 
@@ -188,7 +188,7 @@ class Loop:
             tlas = self.tracer.build(self.activation.active, progress)
         built = np.bincount(tlas.ids, minlength=len(self.activation)) > 0
         weights, count = Weights.zeros(len(tlas), self.ambient), samples or self.first_samples
-        log = PathLog.zeros(self.size[1], self.size[0], count)
+        log = PathLog.zeros(self.size[1], self.size[0], count, backdrop=self.backdrop)
         prepared = self.tracer.with_only_emitters(built)
         feedback, picture = self.tracer.count(prepared, tlas, count, 0, weights=weights, progress=progress, log=log)
         self.known = light_known(self.tracer, tlas, built, count, picture)
@@ -199,7 +199,7 @@ class Loop:
     def measure_denser(self, measured: Measurement, samples: I64, progress: Progress = silent) -> Measurement:
         """A measurement with so many more paths per pixel of each tile, (T,); the old one's weights become its own."""
         only = marks(samples, self.size[1], self.size[0])
-        log, first = PathLog.zeros(*only.shape), measured.next_sample
+        log, first = PathLog.zeros(*only.shape, backdrop=self.backdrop), measured.next_sample
         built = np.bincount(measured.tlas.ids, minlength=len(self.activation)) > 0
         prepared = self.tracer.with_only_emitters(built)
         feedback, _ = self.tracer.count(
@@ -249,6 +249,9 @@ def all_stay(loop: Loop, why: str) -> CullingResult:
     return loop.result(loop.activation.exists, np.zeros(n, np.float32), hits, (why,))
 
 
-def mean_luminance(picture: F32) -> float:
-    """Of a picture, (H, W, 3 or 4)."""
-    return float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean())
+def brightness(picture: F32, film: Film) -> tuple[F64, float, float]:
+    """How bright a picture, (H, W, 4), of a round is, before exposure: mean luminance of each tile, (T,); of all; and
+    of what is in it, by its alpha (`PathLog.backdrop`)."""
+    exposure = max(film.exposure, 1e-6)
+    mean = float((picture[..., :3] @ LUMINANCE.astype(np.float32)).mean()) / exposure
+    return tile_means(picture) / exposure, mean, mean / max(float(picture[..., 3].mean()), 1e-6)

@@ -52,7 +52,7 @@ class Measurement:
     def is_dark(self) -> bool:
         """Whether so few paths of the whole picture bring light that nobody knows how bright it is: then what opens to
         the light by culling may be any share of that."""
-        lit = np.count_nonzero(self.log.color.any(axis=-1))
+        lit = np.count_nonzero((self.log.color > 0).any(axis=-1))
         return bool(lit < min(LIT, self.log.color[..., 0].size // 10))
 
     @property

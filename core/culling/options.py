@@ -9,7 +9,7 @@ import numpy as np
 
 from ..error_budget.budget import Budget
 from ..errors import InputError
-from ..feedback.tiles import TILES
+from ..feedback.tiles import COLUMNS, ROWS, TILES
 from ..scene.model import Film, Scene
 from .policies import LIGHT_PATHS, POLICIES
 
@@ -74,8 +74,9 @@ class CullOptions:
     threads: int = 0
 
     def picture_size(self, film: Film) -> tuple[int, int]:
-        """Width and height of the analysis picture."""
-        return min(self.width, film.width), min(max(1, round(self.width * film.height / film.width)), film.height)
+        """Width and height of the analysis picture: each tile has a pixel, also where the film is smaller."""
+        width, height = min(self.width, film.width), min(round(self.width * film.height / film.width), film.height)
+        return max(width, COLUMNS), max(height, ROWS)
 
     def coarse_size(self, film: Film) -> tuple[int, int]:
         """Width and height of the picture of coarse rounds."""

@@ -27,7 +27,7 @@ from .division import Division
 from .levels.exchange import with_levels
 from .levels.levelled import has_levels, proposed_levels
 from .levels.stand_ins import Alternative, Coarser, StandIn
-from .loop import Loop, mean_luminance
+from .loop import Loop, brightness
 from .result import CullingResult
 
 # of the budget: what is predicted of a proposal, for predictions are up to three times too small (docs/method.md)
@@ -152,7 +152,7 @@ def _begin(loop: Loop, active: NDArray[np.bool_], faces: Mapping[int, NDArray[np
         tlas = tracer.build(activation.active)
         cut, boxes = loop.boxes(tlas)
         feedback, picture = tracer.trace(tlas, 1, boxes, size=loop.options.coarse_size(loop.scene.film))
-        loop.ambient = mean_luminance(picture)
+        loop.light, loop.ambient, loop.backdrop = brightness(picture, loop.scene.film)
         opened = activation.open_crossed_boxes(cut, feedback, tracer.prepared.emissive)
     loop.seen = tracer.seen_emitters(tlas)
     if known_light(loop.scene) is not None:  # a measurement tells what share of the light is

@@ -50,7 +50,7 @@ def trace_witness(
     Boxes that paths cross are opened, and these paths traced again, until the light that is carried through boxes that
     are not opened is within tolerated; where builds are limited, none is opened.
     """
-    log, prepared = PathLog.zeros(*only.shape), loop.tracer.prepared
+    log, prepared = PathLog.zeros(*only.shape, backdrop=loop.backdrop), loop.tracer.prepared
     tile = tiles_of(*only.shape[:2]).ravel()
     samples = np.maximum(
         np.bincount(tile, only.sum(axis=2).ravel(), TILES) / np.maximum(np.bincount(tile, minlength=TILES), 1), 1.0

@@ -7,8 +7,9 @@ not: red for green of equal luminance, a pattern for its mean.
 
 Absolute values of noisy figures are too large, above all of many small blocks. So there signs, and directions of
 colour, are taken from one half of the paths and applied to the other half, whose noise is independent (cross-fitting);
-that shrinks what is below the noise, which the deviation covers for one tile. For the mean of all tiles, where it would
-add up, squares are estimated by products of the two halves.
+that shrinks what is below the noise, which the deviation covers for one tile of few blocks. For the mean of all tiles,
+where it would add up, squares are estimated by products of the two halves. A change that but one half of a block's
+paths shows has no product: it is taken as it is.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..arrays import F32, F64, I32
+from ..arrays import F32, F64, I32, I64
 from ..feedback.hits import sparse_zeros
 from ..feedback.path_log import RECORD, PathLog, attribute_to_first_hit, numbers
 from ..feedback.tiles import BLOCK, DARK, TILES, tiles_of
@@ -31,6 +32,10 @@ from .budget import Budget
 
 CONFIDENCE = 0.95  # that both bounds hold, of what is certified
 NEAR = 4.0  # deviations: a tile that is nearer than this to its bound may break it
+# deviations of a tile, times the root of its number of blocks, by which noise shrinks its detail at most: rare changes
+# of which half a block's paths show half of one, N x 2 x 0.5 exp(-0.5) of sqrt(N x 2 x 0.5)
+SHRINKAGE = 0.6
+FEW_BLOCKS = 25  # of a tile, at the defaults: what noise shrinks there the bound's own deviations cover
 _TINY = 1e-30
 
 
@@ -209,9 +214,15 @@ class Reference:
             else only.reshape(len(self.tile), -1).astype(bool).sum(axis=1)
         )
         self.paths: F64 = np.bincount(self.tile, by_pixel, TILES)
+        # of a tile's light no backdrop is taken away
+        nothing = (self.color == -np.float32(log.backdrop)).all(axis=1) if log.backdrop else np.False_
         self._sums = np.stack(
             [
-                np.bincount(self.tile, self.color[:, c].reshape(-1, self.samples).sum(axis=1, dtype=np.float64), TILES)
+                np.bincount(
+                    self.tile,
+                    np.where(nothing, 0.0, self.color[:, c]).reshape(-1, self.samples).sum(axis=1, dtype=np.float64),
+                    TILES,
+                )
                 for c in range(3)
             ]
         )
@@ -317,7 +328,7 @@ class Light:
         color = difference.pixels / self.brightness[tile][None, :, None]
         whole = np.stack([np.bincount(tile, color[:, :, c].sum(axis=0), TILES) for c in range(3)])
         error = np.maximum(np.abs(np.bincount(tile, luminance.sum(axis=0), TILES)), np.sqrt((whole**2).mean(axis=0)))
-        sure, mean_square = self._detail(color)
+        sure, average, blocks = self._detail(color)
         strata = np.stack(
             [np.bincount(tile, x, TILES) for x in (luminance.sum(axis=0) ** 2, (color.sum(axis=0) ** 2).mean(axis=1))]
         )
@@ -327,25 +338,31 @@ class Light:
         several = samples > 1
         variance = np.where(several, (variance - strata / samples) * (samples / np.maximum(samples - 1, 1)), variance)
         deviation = np.sqrt(np.maximum(variance.max(axis=0), 0.0) + self.paths**-2.0)
-        return ErrorEstimate(np.maximum(error, sure), np.maximum(error, mean_square), deviation, owed)
+        shrunk = SHRINKAGE * np.maximum(np.sqrt(blocks) - math.sqrt(FEW_BLOCKS), 0.0) * deviation
+        sure = sure + np.clip(average - sure, 0.0, shrunk)
+        return ErrorEstimate(np.maximum(error, sure), np.maximum(error, average), deviation, owed)
 
-    def _detail(self, color: F64) -> tuple[F64, F64]:
+    def _detail(self, color: F64) -> tuple[F64, F64, I64]:
         """Mean absolute change of colour over the blocks of each tile: color is (2, P, 3), relative change by halves of
         the samples.
 
-        Twice (T,): by cross-fitting, which noise shrinks by no more than the deviations that are added to a tile; and
-        one that noise does not shrink, the smaller of two that are too large: the absolute values as they are, and the
-        root of the mean square by products of the halves, free of noise.
+        Twice (T,): by cross-fitting, which noise shrinks; and one that it does not. Of blocks of which both halves show
+        a change that is the smaller of two figures that are too large: the absolute values as they are, and the root of
+        the mean square by products of the halves, free of noise; of other blocks the absolute values. Then how many
+        blocks each tile has.
         """
         block, tile = _blocks(self.height, self.width)
         sums = np.stack([[np.bincount(block, half[:, c], len(tile)) for c in range(3)] for half in color])  # (2, 3, B)
         size = np.sqrt((sums**2).mean(axis=1))
         product = (sums[0] * sums[1]).mean(axis=0)
         inverse = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0).sum(axis=0)
-        fitted = np.bincount(tile, np.where((size > 0).all(axis=0), product * inverse, 0.0), TILES)
-        absolute = np.bincount(tile, np.sqrt((sums.sum(axis=0) ** 2).mean(axis=0)), TILES)
-        squares = 4 * np.bincount(tile, product, TILES) * np.bincount(tile, minlength=TILES)
-        return fitted, np.minimum(absolute, np.sqrt(np.maximum(squares, 0.0)))
+        both = (size > 0).all(axis=0)
+        fitted = np.bincount(tile, np.where(both, product * inverse, 0.0), TILES)
+        absolute = np.sqrt((sums.sum(axis=0) ** 2).mean(axis=0))
+        by_half, alone = (np.bincount(tile, np.where(which, absolute, 0.0), TILES) for which in (both, ~both))
+        squares = 4 * np.bincount(tile, product, TILES) * np.bincount(tile[both], minlength=TILES)
+        average = alone + np.minimum(by_half, np.sqrt(np.maximum(squares, 0.0)))
+        return fitted, average, np.bincount(tile, minlength=TILES)
 
 
 @lru_cache(maxsize=8)

@@ -88,7 +88,7 @@ class Judge:
 
     def _trace(self, progress: Progress = silent) -> F32:
         """One more pass; its picture, (H, W, 4)."""
-        log = PathLog.zeros(self.scene.film.height, self.scene.film.width, self.samples)
+        log = PathLog.zeros(self.loop.size[1], self.loop.size[0], self.samples)
         first = self.loop.tracer.next_sample
         picture = self.loop.tracer.trace(self.tlas, self.samples, progress=progress, log=log)[1]
         self.passes.append(Pass(first, log, Reference(log)))

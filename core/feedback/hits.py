@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..accel.hitboxes import Hitboxes
 from ..arrays import F64, I64
@@ -18,6 +19,7 @@ from .tiles import COLUMNS, DARK, ROWS, TILES
 __all__ = ["COLUMNS", "ROWS", "TILES", "Feedback", "Weights"]  # the kernel's
 
 _FIXED = float(1 << 20)  # units of fixed point to the picture's mean luminance
+MOST = np.float32(1e12)  # units of one event, so that no sum of them overflows: of one without bound, just so many
 
 
 def sparse_zeros(shape: tuple[int, ...], dtype: Any = np.int64) -> Any:
@@ -58,6 +60,12 @@ class Weights:
         return Weights(
             np.zeros((entries, TILES), np.int64), np.zeros(TILES, np.int64), ambient, ambient / _FIXED, first
         )
+
+    @property
+    def unbounded(self) -> NDArray[np.bool_]:
+        """(A,) which entries some event credited without bound. Beside a tile of many paths, or a bright one, that need
+        not be much."""
+        return np.asarray((self.light >= np.int64(MOST)).any(axis=1))
 
     def relative(self, samples: F64 | I64 | int = 1) -> F64:
         """What each entry is worth in each tile, relative to the tile's luminance: (A, T) float64. samples: paths per

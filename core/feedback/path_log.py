@@ -26,10 +26,13 @@ RECORD = 16
 @dataclass(frozen=True)
 class PathLog:
     """records: (H, W, S, RECORD) int32, count and TLAS entries met by each of S paths per pixel; the number behind the
-    last entry stands for boxes of what is not built. color: (H, W, S, 3) float32, linear light of each path."""
+    last entry stands for boxes of what is not built. color: (H, W, S, 3) float32, linear light of each path, less
+    backdrop where the picture is transparent: what appears there, or vanishes, changes the picture by that much more
+    than by its own light, however dark it is."""
 
     records: I32
     color: F32
+    backdrop: float = 0.0
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -43,16 +46,17 @@ class PathLog:
         return np.asarray(self.color @ LUMINANCE.astype(np.float32))
 
     @staticmethod
-    def zeros(height: int, width: int, samples: int) -> PathLog:
+    def zeros(height: int, width: int, samples: int, *, backdrop: float = 0.0) -> PathLog:
         """Nothing traced yet. Paths that never are, as of most tiles where some get many, take no memory."""
         return PathLog(
             sparse_zeros((height, width, samples, RECORD), np.int32),
             sparse_zeros((height, width, samples, 3), np.float32),
+            backdrop,
         )
 
     def copy(self, only: NDArray[np.uint8]) -> PathLog:
         """A copy of the paths that only, (H, W, S), marks. The others take no memory."""
-        out = PathLog.zeros(*self.shape)
+        out = PathLog.zeros(*self.shape, backdrop=self.backdrop)
         out.update(only, self)
         return out
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ..feedback.hits import TILES
+from ..feedback.hits import MOST, TILES
 from ..feedback.path_log import RECORD
 from ..jit.atomics import atomic_add_int64
 from ..jit.pointers import i32_pointer
@@ -29,7 +29,6 @@ from .path_state import (
 )
 
 _RED, _GREEN, _BLUE = (np.float32(x) for x in LUMINANCE)
-_MOST = np.float32(1e12)  # units of one event, so that no sum of them overflows
 _ONE = np.float32(1.0)
 
 
@@ -52,7 +51,7 @@ def add_worth(s, w, entry, luminance):
     row = entry - s.settings[I_WEIGHED_FROM]
     if units >= _ONE and row >= 0:
         atomic_add_int64(
-            s.weights + np.uint64(8) * np.uint64(row * TILES + w.stats[W_TILE]), np.int64(min(units, _MOST))
+            s.weights + np.uint64(8) * np.uint64(row * TILES + w.stats[W_TILE]), np.int64(min(units, MOST))
         )
 
 
@@ -106,7 +105,7 @@ def flush_path_contributions(s, w):
         add_worth(s, w, w.vertex[k], max(total - w.carried[2 * k], w.carried[2 * k + 1]))
     units = total * s.limits[V_UNITS]
     if units >= _ONE:
-        atomic_add_int64(s.tile_light + np.uint64(8) * np.uint64(w.stats[W_TILE]), np.int64(min(units, _MOST)))
+        atomic_add_int64(s.tile_light + np.uint64(8) * np.uint64(w.stats[W_TILE]), np.int64(min(units, MOST)))
 
 
 @njit(**INNER)

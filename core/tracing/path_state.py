@@ -32,10 +32,10 @@ BOTH, LIGHT_ONLY, BSDF_ONLY = 0, 1, 2  # I_STRATEGY: for tests, all agree in the
 # limits, float32[LIMITS]: clamps (sum over channels, FAR where off), inverse of filter glossy (0: off), exposure, world
 # colour
 # (3), for weights (feedback.Weights) mean luminance of the picture and fixed-point units to one of luminance, Fast GI's
-# reach and factor, and the film's glass
+# reach and factor, the film's glass, and `PathLog.backdrop`
 V_CLAMP_DIRECT, V_CLAMP_INDIRECT, V_FILTER_GLOSSY, V_EXPOSURE, V_WORLD, V_AMBIENT, V_UNITS = 0, 1, 2, 3, 4, 7, 8
-V_FAST_REACH, V_FAST_FACTOR, V_GLASS = 9, 10, 11
-LIMITS = 12
+V_FAST_REACH, V_FAST_FACTOR, V_GLASS, V_BACKDROP = 9, 10, 11, 12
+LIMITS = 13
 
 # Parts of the light of paths that start at raster hits, float32[PARTS] per pixel. Emission and background seen at the
 # first hit; light of lamps from their own sampling or from the path's next ray at the first hit, free of what is built:

@@ -38,6 +38,7 @@ from .path_state import (
     PARTS_AT,
     PATHS,
     RAYS,
+    V_BACKDROP,
     V_EXPOSURE,
     W_RECORD,
     W_TILE,
@@ -100,7 +101,7 @@ def _trace_tile(s, w, a, x0, y0, x1, y1):
                 if a[A_COLOR] != np.uint64(0):
                     known = record != np.uint64(0) and s.settings[I_LAMPS_KNOWN] != 0
                     for c in range(3):
-                        color[3 * path + c] = w.total[c]
+                        color[3 * path + c] = w.total[c] - s.limits[V_BACKDROP] * w.total[3]
                         if known:
                             color[3 * path + c] -= w.total[PARTS_AT + CLEAR + c] + w.total[PARTS_AT + MAYBE + c]
                 r += w.total[0]

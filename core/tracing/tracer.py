@@ -136,8 +136,9 @@ def trace(
     one); hitbox_every: count boxes on one path in so many. size: (width, height) of the picture in pixels, default that
     of the film. threads: 0 for all. cancelled: polled now and then; where it says True the picture is returned as far
     as it is. strategy: path_state.BOTH, or one of LIGHT_ONLY and BSDF_ONLY (for tests).
-    log: gets the light of each path (less light that is known without tracing, `FirstHitBuffer.lamps_known`), and,
-    where feedback is given, what the path met. only: (H, W, samples) uint8, trace those paths that are not 0.
+    log: gets the light of each path (less light that is known without tracing, `FirstHitBuffer.lamps_known`, and less
+    its backdrop), and, where feedback is given, what the path met. only: (H, W, samples) uint8, trace those paths that
+    are not 0.
     Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of
     what is culled, to tell for the parts which light of lamps that may block.
     """
@@ -157,7 +158,7 @@ def trace(
             settings[state.I_UNBUILT] = len(tlas)
     addresses = _addresses(prepared, tlas, feedback, settings, limits, sums, stats)
     if log is not None:
-        addresses[state.A_COLOR] = address(log.color)
+        addresses[state.A_COLOR], limits[state.V_BACKDROP] = address(log.color), log.backdrop
         addresses[state.A_LOG] = address(log.records) if feedback is not None else 0
     entries = np.zeros(0, np.int32)
     if feedback is not None and (feedback.weights is not None or log is not None):

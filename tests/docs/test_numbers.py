@@ -84,6 +84,8 @@ def test_missed_targets_are_marked() -> None:
 CONSTANTS = {
     "TILES": f"{tiles.COLUMNS} \\times {tiles.ROWS}",
     "BLOCK": tiles.BLOCK,
+    "SHRINKAGE": error_estimate.SHRINKAGE,
+    "FEW_BLOCKS": error_estimate.FEW_BLOCKS,
     "DARK": tiles.DARK,
     "RECORD": path_log.RECORD,
     "MAX_VERTICES": path_state.MAX_VERTICES,
@@ -109,6 +111,7 @@ CONSTANTS = {
     "UNMET": search.UNMET,
     "NEAR": error_estimate.NEAR,
     "CONFIDENCE": error_estimate.CONFIDENCE,
+    "ATTEMPTS": analysis.ATTEMPTS,
     "LOOKS": certificate.LOOKS,
     "LEVELS": certificate.LEVELS,
     "TOLERATED": certificate.TOLERATED,

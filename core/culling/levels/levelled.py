@@ -167,9 +167,10 @@ class _Levels:
         height, width = measured.log.shape[:2]
         only: NDArray[np.uint8] = np.ones((height, width, samples), np.uint8)
         first, tracer = measured.traced[0].first_sample, self._loop.tracer
-        tlas, before = tracer.build(self._keep), PathLog.zeros(*only.shape)
+        tlas, before = tracer.build(self._keep), PathLog.zeros(*only.shape, backdrop=self._loop.backdrop)
         tracer.trace_without(tlas, first, self._keep, tlas, only, before)
-        reference, log = Reference(before, only, None, self._loop.known), PathLog.zeros(*only.shape)
+        reference = Reference(before, only, None, self._loop.known)
+        log = PathLog.zeros(*only.shape, backdrop=before.backdrop)
         light, count = Light.of(reference), len(self.candidates)
         unit = np.full(len(self._keep), count, np.int32)
         for c, candidate in enumerate(self.candidates):

@@ -101,8 +101,10 @@ class Paths:
         product, both = (s0 * s1).mean(axis=1), (rms(s0) > 0) & (rms(s1) > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             f = summed(self.block_tile[both], (product * (1 / rms(s0) + 1 / rms(s1)))[both], T)  # eq. 5
-        squares = 4 * summed(self.block_tile, product, T) * np.bincount(self.block_tile, minlength=T)
-        g = np.minimum(summed(self.block_tile, rms(s0 + s1), T), np.sqrt(np.maximum(squares, 0)))
+        squares = 4 * summed(self.block_tile, product, T) * np.bincount(self.block_tile[both], minlength=T)
+        plain = rms(s0 + s1)
+        g = np.minimum(summed(self.block_tile[both], plain[both], T), np.sqrt(np.maximum(squares, 0)))
+        g += summed(self.block_tile[~both], plain[~both], T)
         s, pixels = self.n / np.bincount(self.pixel_tile, minlength=T), self.size[0] * self.size[1]
 
         def variance(each: Array, norm: Any) -> Array:  # eq. 7
@@ -113,9 +115,10 @@ class Paths:
             return np.where(s > 1, (squares - strata / s) * s / np.maximum(s - 1, 1), squares)
 
         v = np.maximum(variance(lum, np.square), variance(color, lambda c: (c**2).mean(axis=1)))
-        return Change(
-            np.maximum(whole, f) + owed, np.maximum(whole, g) + owed, np.sqrt(np.maximum(v, 0) + 1.0 / self.n**2)
-        )  # eq. 6, 8
+        sigma = np.sqrt(np.maximum(v, 0) + 1.0 / self.n**2)  # eq. 8
+        most = f + 0.6 * np.maximum(np.sqrt(np.bincount(self.block_tile, minlength=T)) - 5, 0) * sigma
+        f = np.maximum(f, np.minimum(g, most))
+        return Change(np.maximum(whole, f) + owed, np.maximum(whole, g) + owed, sigma)  # eq. 6
 
     def affected(self, cull: Array) -> Array:  # (P,); number A stands for what is not built
         held = (np.append(cull, True)[self.record[:, 1:]]) & (np.arange(15) < self.record[:, :1])

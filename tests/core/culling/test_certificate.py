@@ -3,18 +3,27 @@ budget."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from lipac.core.accel.tlas import Tlas
+from lipac.core.culling import analysis
 from lipac.core.culling.analysis import analyze
-from lipac.core.culling.certificate import TOLERATED, Certificate, Verdict
+from lipac.core.culling.certificate import LEVELS, LOOKS, TOLERATED, Certificate, Verdict
 from lipac.core.culling.frame_tracer import FrameTracer
+from lipac.core.culling.levels.levelled import PROPOSALS
 from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
+from lipac.core.culling.witness import trace_witness
 from lipac.core.error_budget.budget import Budget
+from lipac.core.error_budget.error_estimate import Light, Reference
 from lipac.core.error_budget.units import Units
 from lipac.core.evaluation.judge import Judge
+from lipac.core.feedback.hits import MOST
 from lipac.core.feedback.tiles import TILES
 from lipac.core.progress import Progress, silent
 from lipac.core.scene import model as s
@@ -244,3 +253,50 @@ def test_counts_say_which_share_of_light_they_do_not_know() -> None:
     result = analyze(scene, CullOptions(width=SIZE[0], min_share=0.01))
     assert 0 < result.stats["unknown_mean"] < 1
     assert result.stats["unknown_worst"] >= result.stats["unknown_mean"]
+
+
+def test_every_path_of_a_witness_looks_for_boxes() -> None:
+    """Though rounds let one in eight do so: what the others carry through them would not count."""
+    scene, unknown = meadow(300), []
+    for every in (1, 8):
+        loop = Loop(scene, CullOptions(width=SIZE[0], hitbox_every=every, blas_budget_bytes=1))
+        only: NDArray[np.uint8] = np.ones((SIZE[1], SIZE[0], 2), np.uint8)
+        unknown.append(trace_witness(loop, 0, only, Budget(1.0, 1.0)).unknown)
+    assert unknown[0].sum() > 0
+    np.testing.assert_array_equal(unknown[0], unknown[1])
+
+
+@pytest.mark.parametrize("levels", [False, True])
+def test_all_certificates_of_a_frame_share_one_doubt(levels: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of which none accepts anything, so that there are as many as there can be."""
+    doubt = 0.0
+
+    class Fruitless(Certificate):
+        def walk(self, sets: Sequence[np.ndarray], *_: object) -> Verdict:  # type: ignore[override]
+            nonlocal doubt
+            doubt += (1 - self.each) * LOOKS * LEVELS
+            return super().walk([], Units.single(np.zeros((len(sets[0]), TILES))), lambda cull: ~cull)
+
+    def fruitless(_loop: Loop, _measured: object, certificate: Certificate, *_: object) -> None:
+        nonlocal doubt
+        doubt += (1 - certificate.each) * LOOKS * PROPOSALS
+
+    monkeypatch.setattr(analysis, "Certificate", Fruitless)
+    monkeypatch.setattr(analysis, "has_levels", lambda _loop: levels)
+    monkeypatch.setattr(analysis, "levelled", fruitless)
+    result = analyze(cubes({-3.0: 0.04, -1.5: 0.04, 0.0: 0.8}), CullOptions(width=SIZE[0]))
+    assert result.active.all()
+    assert 0.025 < doubt <= 0.05 + 1e-9
+
+
+def test_what_was_credited_without_bound_stays_however_bright_its_tile() -> None:
+    """One path of many met it, beside much light: fifty times the tile's it is not."""
+    loop = Loop(cubes({-3.0: 0.4, 0.0: 0.8}), CullOptions(width=SIZE[0]))
+    measured = loop.run()
+    weights = replace(measured.weights, total=np.full(TILES, 10 * np.int64(MOST)), light=measured.weights.light.copy())
+    weights.light[1, 0] = MOST
+    measured = replace(measured, weights=weights)
+    assert measured.worth.max() < 1
+    light = Light.of(Reference(measured.log))
+    units, _ = analysis.units_measured(loop, measured, loop.options.max_error, light)
+    assert np.isinf(units.worth[units.of_entry]).all(axis=1).tolist() == [False, True, False]

@@ -188,7 +188,8 @@ def test_what_is_settled_stays_over_two_hundred_frames() -> None:
 @pytest.mark.parametrize(
     "options", [OPTIONS, CullOptions(width=96, paths=4, max_error=Budget(0.02, 0.2))], ids=["counts", "budget"]
 )
-def test_hysteresis_lets_fewer_states_change(options: CullOptions) -> None:
+def test_hysteresis_lets_fewer_states_change_again(options: CullOptions) -> None:
+    """What flickers: an instance that has changed once before. What comes and stays is counted for neither."""
     changes = []
     for hysteresis in (1.0, 4.0):
         shot = Shot(dataclasses.replace(options, hysteresis=hysteresis))
@@ -198,7 +199,8 @@ def test_hysteresis_lets_fewer_states_change(options: CullOptions) -> None:
             states.append(result.active)
             if options.min_share is None:
                 assert result.stats["certified_mean"] <= options.max_error.mean
-        changes.append(sum(int((a != b).sum()) for a, b in itertools.pairwise(states)))
+        times = sum((a != b).astype(np.int64) for a, b in itertools.pairwise(states))
+        changes.append(int(np.maximum(times - 1, 0).sum()))
     assert changes[1] < changes[0]
 
 

@@ -102,6 +102,49 @@ def test_many_changes_below_the_noise_add_up(change: float, share: float) -> Non
     assert np.mean(found) < truth + 0.12
 
 
+def fine_pattern(log: PathLog, share: float, change: float, seed: int) -> np.ndarray:
+    """A checkerboard of blocks, up and down by `change`, that a share of the paths shows: (H, W, S, 3)."""
+    height, width, _ = log.shape
+    y, x = np.arange(height) // BLOCK, np.arange(width) // BLOCK
+    sign = (-1.0) ** (y[:, None] + x[None, :])
+    shown = np.random.default_rng(seed).random(log.shape) < share
+    return log.color + (shown * change * sign[..., None])[..., None]
+
+
+@pytest.mark.parametrize("share", [0.001, 0.004, 0.02])
+def test_a_change_that_few_paths_show_is_no_smaller(share: float) -> None:
+    """Of half a block's paths none or one differs: by products of halves there would be next to no change (0.6 of it).
+    Tiles of 25 blocks; the deviation of their mean is a few per cent."""
+    log = PathLog.zeros(ROWS * 5 * BLOCK, COLUMNS * 5 * BLOCK, 6)
+    log.color[:] = 1.0
+    found = estimate(log, fine_pattern(log, share, 0.01 / share, 4))
+    assert found.mean > 0.01 - 3 * found.mean_deviation
+    assert found.mean < 0.012 + 3 * found.mean_deviation
+
+
+@pytest.mark.parametrize(("share", "change"), [(0.02, 0.3), (0.1, 0.3)])
+def test_a_tile_of_many_blocks_is_bounded_too(share: float, change: float) -> None:
+    """One tile of 400 blocks, as of a picture 960 pixels wide with one path per pixel: noise shrinks its detail to less
+    than a half, which 3 of its deviations are too few to make up for."""
+    log = PathLog.zeros(ROWS * 20 * BLOCK, COLUMNS * 20 * BLOCK, 1)
+    log.color[:] = 1.0
+    other = log.color.copy()
+    tile = np.s_[: 20 * BLOCK, : 20 * BLOCK]
+    other[tile] = fine_pattern(PathLog(log.records, log.color[tile]), share, change, 5)
+    assert estimate(log, other).upper_worst(0.99) > share * change
+
+
+def test_a_backdrop_is_no_light() -> None:
+    """Half of a picture is transparent: what changes there by its own light is relative to the light that there is."""
+    log = PathLog(full().records, full().color, backdrop=0.5)
+    log.color[:, ::2] = -0.5
+    other = log.color.copy()
+    other[:, 1::2] *= 0.9
+    np.testing.assert_allclose(estimate(log, other).tiles, 0.1, rtol=1e-5)
+    other[:, 1::2] = -0.5  # it vanishes
+    np.testing.assert_allclose(estimate(log, other).tiles, 1.5, rtol=1e-5)
+
+
 def test_what_pixels_share_is_no_noise() -> None:
     """Half of the pixels lose all their light, in every path: by pixel nothing is left to chance, but for what no path
     showed."""
