@@ -1,4 +1,4 @@
-"""Faces of meshes as triangles, and normals of their vertices, as Blender makes them."""
+"""Faces of meshes as triangles, and normals of their vertices, as Blender makes them; vertices of parts of meshes."""
 
 from __future__ import annotations
 
@@ -65,6 +65,30 @@ def vertex_normals(positions, vertices, sizes):
             x, y, z = positions[v]
         sums[v, 0], sums[v, 1], sums[v, 2] = _unit((x, y, z))
     return sums
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def own_vertices(triangles, order, ends, count):
+    """Vertices of each part, one part after the other, each vertex once in a part: (W,) int32 into count of them; the
+    triangles by numbers among their part's own, (T, 3) uint32; and (P,) int64 where each part ends in W.
+
+    triangles: (T, 3) uint32; order: (T,) int32 part by part; ends: (P,) int64.
+    """
+    part_of, number = np.full(count, -1, np.int32), np.empty(count, np.uint32)
+    vertices, out, upto = np.empty(3 * len(order), np.int32), np.empty((len(order), 3), np.uint32), np.empty_like(ends)
+    t = w = 0
+    for p in range(len(ends)):
+        first = w
+        while t < ends[p]:
+            for corner in range(3):
+                vertex = triangles[order[t], corner]
+                if part_of[vertex] != p:
+                    part_of[vertex], number[vertex], vertices[w] = p, w - first, vertex
+                    w += 1
+                out[t, corner] = number[vertex]
+            t += 1
+        upto[p] = w
+    return vertices[:w].copy(), out, upto
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")

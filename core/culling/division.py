@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..accel.region_tree import spatial_order
+from ..accel.triangulation import own_vertices
 from ..arrays import F32, I32, I64
 from ..files.scratch import Rows, Scratch
 from ..scene.bounds import triangle_boxes, world_bounds
@@ -71,7 +71,7 @@ class Parts:
 
     @staticmethod
     def _stored(mesh: Mesh, order: I32, ends: I64, scratch: Scratch) -> Parts:
-        vertices, triangles, upto = _own_vertices(mesh.triangles, order, ends, len(mesh.positions))
+        vertices, triangles, upto = own_vertices(mesh.triangles, order, ends, len(mesh.positions))
         normals, uvs, slots = mesh.normals, mesh.uvs, mesh.slots
         positions, places = mesh.positions[vertices], scratch.put(order)
         starts = np.append(0, upto[:-1])
@@ -125,30 +125,6 @@ def _run(ends: I64, number: int) -> slice:
 
 def _faces_of(mesh: Mesh) -> int:
     return len(mesh.triangles) if mesh.faces is None else int(mesh.faces.max(initial=-1)) + 1
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _own_vertices(triangles, order, ends, count):
-    """Vertices of each part, one part after the other, each vertex once in a part: (W,) int32 into count of them; the
-    triangles by numbers among their part's own, (T, 3) uint32; and (P,) int64 where each part ends in W.
-
-    triangles: (T, 3) uint32; order: (T,) int32 part by part; ends: (P,) int64.
-    """
-    part_of, number = np.full(count, -1, np.int32), np.empty(count, np.uint32)
-    vertices, out, upto = np.empty(3 * len(order), np.int32), np.empty((len(order), 3), np.uint32), np.empty_like(ends)
-    t = w = 0
-    for p in range(len(ends)):
-        first = w
-        while t < ends[p]:
-            for corner in range(3):
-                vertex = triangles[order[t], corner]
-                if part_of[vertex] != p:
-                    part_of[vertex], number[vertex], vertices[w] = p, w - first, vertex
-                    w += 1
-                out[t, corner] = number[vertex]
-            t += 1
-        upto[p] = w
-    return vertices[:w].copy(), out, upto
 
 
 class _Meshes(MeshSequence):
