@@ -214,15 +214,11 @@ class Reference:
             else only.reshape(len(self.tile), -1).astype(bool).sum(axis=1)
         )
         self.paths: F64 = np.bincount(self.tile, by_pixel, TILES)
-        # of a tile's light no backdrop is taken away
-        nothing = (self.color == -np.float32(log.backdrop)).all(axis=1) if log.backdrop else np.False_
+        # of a tile's light no backdrop is taken away; of paths that half pass what is there, some of their light is
+        bright = np.maximum(self.color, 0.0) if log.backdrop else self.color
         self._sums = np.stack(
             [
-                np.bincount(
-                    self.tile,
-                    np.where(nothing, 0.0, self.color[:, c]).reshape(-1, self.samples).sum(axis=1, dtype=np.float64),
-                    TILES,
-                )
+                np.bincount(self.tile, bright[:, c].reshape(-1, self.samples).sum(axis=1, dtype=np.float64), TILES)
                 for c in range(3)
             ]
         )

@@ -226,3 +226,11 @@ def test_several_looks_are_one_sample() -> None:
     only = np.repeat(tiles[tiles_of(HEIGHT, WIDTH)][..., None], 2, axis=2).astype(np.uint8)
     partly = Light.of(references[0], Reference(PathLog(both[1].records, both[1].color * only[..., None]), only))
     np.testing.assert_array_equal(partly.paths, np.where(tiles, 6, 4) * (HEIGHT // ROWS) * (WIDTH // COLUMNS))
+
+
+def test_what_is_half_transparent_takes_no_light_from_its_tile() -> None:
+    """Its paths are logged less a share of the backdrop: more than they brought, through clear glass."""
+    opaque, clear = PathLog.zeros(9, 16, 2), PathLog.zeros(9, 16, 2, backdrop=2.0)
+    opaque.color[:, :, 0] = clear.color[:, :, 0] = 1.0
+    clear.color[:, :, 1] = -0.9 * 2.0
+    np.testing.assert_array_equal(Light.of(Reference(clear)).luminance, Light.of(Reference(opaque)).luminance)
