@@ -80,5 +80,6 @@ def need_graphics() -> None:
         pytest.skip("this Blender cannot draw without a window")
     try:
         gpu.init()
+        gpu.types.GPUOffScreen(8, 8).free()  # renders may have left Python without a context
     except Exception as error:
         pytest.skip(f"no graphics here: {error}")
