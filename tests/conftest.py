@@ -10,8 +10,8 @@ SLOW = ("scripts", "hard", "raster")  # processes of their own, millions of rays
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of lipac_addon/ as `blender`, those of SLOW as `slow`; workers take what draws first, for renders
-    may leave Python without a graphics context, then slow files, so that they end together."""
+    """Mark the tests of lipac_addon/ as `blender`, those of SLOW as `slow`; workers take slow files first, so that
+    they end together."""
     for item in items:
         folders = item.path.relative_to(item.config.rootpath).parts[:-1]
         if "lipac_addon" in folders:
@@ -19,7 +19,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if any(name in folders for name in SLOW):
             item.add_marker("slow")
     if "PYTEST_XDIST_WORKER" in os.environ:
-        items.sort(key=lambda item: ("draw" not in item.path.parts, item.get_closest_marker("slow") is None))
+        items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -59,12 +59,12 @@ def require() -> None:
     with muted():
         if hasattr(gpu, "init"):
             gpu.init()
-        else:
-            _wake()
+        _wake()
 
 
 def _wake() -> None:
-    """Before Blender 5.2, a render of nothing by EEVEE is what makes the `gpu` module work without a window."""
+    """A render of nothing by EEVEE makes the `gpu` module work without a window, before Blender 5.2, and after a render
+    that has drawn Grease Pencil, which leaves it without a context."""
     import gpu
 
     try:

@@ -152,7 +152,9 @@ def drawn(width: int, height: int, view: Any, projection: Any, shading: str) -> 
     import bpy
     import gpu
 
-    gpu.init()
+    from ...lipac_addon.raster import opengl
+
+    opengl.require()
     area = next(a for window in bpy.context.window_manager.windows for a in window.screen.areas if a.type == "VIEW_3D")
     space, region = area.spaces.active, next(r for r in area.regions if r.type == "WINDOW")
     before = space.shading.type
@@ -241,9 +243,10 @@ def overlay_picture(
     import gpu
     from mathutils import Matrix
 
+    from ...lipac_addon.raster import opengl
     from ...lipac_addon.ui.draw import overlay
 
-    gpu.init()
+    opengl.require()
     offscreen = gpu.types.GPUOffScreen(width, height, format="RGBA8")
     view, projection = outside(width / height)
     area = next(a for window in bpy.context.window_manager.windows for a in window.screen.areas if a.type == "VIEW_3D")

@@ -5,6 +5,8 @@ from pathlib import Path
 import bpy
 import pytest
 
+from lipac.lipac_addon.raster import opengl
+
 
 def ground_and_boxes() -> None:
     """A plane, a wall, four cubes of one mesh before it and four behind, one of them above; a sun, a grey world, a
@@ -80,6 +82,6 @@ def need_graphics() -> None:
         pytest.skip("this Blender cannot draw without a window")
     try:
         gpu.init()
-        gpu.types.GPUOffScreen(8, 8).free()  # renders may have left Python without a context
     except Exception as error:
         pytest.skip(f"no graphics here: {error}")
+    opengl.require()

@@ -19,7 +19,9 @@ class Viewport:
         import bpy
         import gpu
 
-        gpu.init()
+        from ....lipac_addon.raster import opengl
+
+        opengl.require()
         window = bpy.context.window_manager.windows[0]
         area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
         self.space = area.spaces.active

@@ -1,6 +1,7 @@
 """First hits by the graphics card against rays over everything."""
 
 import bpy
+import gpu
 import numpy as np
 import pytest
 
@@ -9,6 +10,7 @@ from lipac.core.accel.tlas import Tlas
 from lipac.core.errors import InputError
 from lipac.core.hybrid.first_hits import trace_primary
 from lipac.core.scene.mesh import MeshTable
+from lipac.lipac_addon.depsgraph import with_render_depsgraph
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.raster import opengl
 
@@ -110,3 +112,17 @@ def test_more_than_pixels_can_tell(boxes, monkeypatch):
         monkeypatch.setattr(gbuffer, "EXACT", limit)
         with pytest.raises(InputError, match=f"{said} are more than .*--primary traced"):
             gbuffer.GBuffer(scene)
+
+
+def test_after_a_render_with_grease_pencil() -> None:
+    """It leaves Python without a graphics context."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_cube_add()
+    scene.collection.objects.link(bpy.data.objects.new("drawing", bpy.data.grease_pencils.new("drawing")))
+    scene.collection.objects.link(bpy.data.objects.new("camera", bpy.data.cameras.new("camera")))
+    scene.camera = bpy.data.objects["camera"]
+    opengl.require()
+    with_render_depsgraph(scene, None, lambda _depsgraph: None)
+    opengl.require()
+    gpu.types.GPUOffScreen(4, 4).free()

@@ -44,18 +44,20 @@ def city():
 
     need_graphics()
     lipac.register()
-    mirror_city.build(1500, 0)
-    scene = bpy.context.scene
-    scene.lipac.width = 120
-    bpy.ops.lipac.analyze()
-    scene.lipac.freeze = True
-    analysed = results.at(scene)
-    scene.frame_set(2)  # the frozen state stays where the scene goes on
-    result = overlay.source(scene)
-    assert result is analysed
-    yield result, overlay_picture(result, WIDTH, HEIGHT, opacity=1.0)[::-1]
-    lipac.unregister()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    try:
+        mirror_city.build(1500, 0)
+        scene = bpy.context.scene
+        scene.lipac.width = 120
+        bpy.ops.lipac.analyze()
+        scene.lipac.freeze = True
+        analysed = results.at(scene)
+        scene.frame_set(2)  # the frozen state stays where the scene goes on
+        result = overlay.source(scene)
+        assert result is analysed
+        yield result, overlay_picture(result, WIDTH, HEIGHT, opacity=1.0)[::-1]
+    finally:
+        lipac.unregister()
+        bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
 def is_colour(picture, kind):
