@@ -12,7 +12,7 @@ from ...core.arrays import F32, I32, Records
 from ...core.errors import InputError, NothingToAnalyse
 from ...core.scene.change import Change
 from ...core.scene.frustum import View
-from ...core.scene.model import Scene, Unsure
+from ...core.scene.model import InstanceFlag, Scene, Unsure
 from ...core.scene.placing import scene_origin
 from ..depsgraph import STAND_IN
 from ..keys import Keys, Kind
@@ -41,6 +41,7 @@ from .shutter import Shutter, same_camera
 from .world import ExtractedWorld, extract_world
 
 MUCH = 0.25  # of the diagonal of a mesh's box: displaced by more, it may be anywhere about
+CATCHERS = "shadow catchers: no error bound holds for light, beside shadows, that they show; --verify measures it"
 Look = Callable[[GraphReader, Sequence[Node]], None]  # is shown a graph, and the objects at its top
 
 
@@ -222,6 +223,8 @@ class SceneReader:
             )
         approximated = dict.fromkeys((*scene.approximated, *world.approximated))
         warnings = (*warnings, *(line for line in approximated if self.most and line.endswith(WORTHLESS)))
+        if self.most and (scene.instances.flags & InstanceFlag.SHADOW_CATCHER).any():
+            warnings = (*warnings, CATCHERS)
         scene = replace(scene, world=world.world, approximated=tuple(approximated))
         change = None
         if self._placed is not None and self._last is not None:

@@ -14,6 +14,7 @@ from lipac.core.errors import InputError
 from lipac.core.scene.model import Camera
 from lipac.lipac_addon.extract import add_framing_camera, extract_frame, frame_camera
 from lipac.lipac_addon.extract.camera import extract_camera, extract_film
+from lipac.lipac_addon.extract.scene import CATCHERS
 
 from .conftest import add, cube
 
@@ -140,3 +141,11 @@ def test_what_draws_lines_keeps_what_is_in_view(kind: str) -> None:
         assert dict(zip(shown, stays.tolist(), strict=True)) == {"seen": True, "behind": kind == "own camera"}
     assert any("draws lines" in line for line in extraction.scene.approximated) == (stays is not None)
     assert scene.render.use_freestyle == (kind in {"freestyle", "layer without"})
+
+
+@pytest.mark.parametrize("catcher", [False, True])
+def test_light_on_shadow_catchers_is_said_to_have_no_bound(catcher: bool) -> None:
+    scene = bpy.context.scene
+    scene.camera = add("camera", bpy.data.cameras.new("camera"), location=(0, -5, 0), rotation=(np.pi / 2, 0, 0))
+    add("thing", cube()).is_shadow_catcher = catcher
+    assert (CATCHERS in extract_frame(scene).warnings) == catcher
