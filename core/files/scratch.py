@@ -25,9 +25,11 @@ class Rows:
         return self.count
 
     def __getitem__(self, rows: slice) -> NDArray[Any]:
-        """Some of its rows, one after the other."""
+        """Some of its rows, one after the other. Raises ValueError for others."""
         first, end, step = rows.indices(self.count)
-        if self.file is None or step != 1 or end <= first:
+        if step != 1:
+            raise ValueError("rows are read one after the other")
+        if self.file is None or end <= first:
             return self.like[rows] if self.file is None else self.like
         out = np.empty((end - first, *self.like.shape[1:]), self.like.dtype)
         self.file.seek(self.start + first * (out.nbytes // len(out)))

@@ -115,7 +115,7 @@ def cull_frame(scene: bpy.types.Scene) -> None:
         apply(scene, _held.result, in_render=True)
     elif result is not None:
         apply(scene, result, in_render=True)
-    elif owner is not None or scene.lipac.in_render:
+    elif scene.lipac.in_render:
         restore(in_render=True)
 
 

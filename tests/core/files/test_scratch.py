@@ -48,3 +48,8 @@ def test_what_the_disk_has_no_room_for_stays_in_memory(monkeypatch: pytest.Monke
     assert np.array_equal(second[1:4], ARRAYS[1][1:4])
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: (_ for _ in ()).throw(FileNotFoundError))
     assert np.array_equal(Scratch().put(ARRAYS[0])[:], ARRAYS[0])
+
+
+def test_rows_are_read_one_after_the_other_alone() -> None:
+    with pytest.raises(ValueError, match="one after the other"):
+        Scratch().put(ARRAYS[0])[::2]
