@@ -14,6 +14,7 @@ from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
 from lipac.core.errors import InputError
 from lipac.core.evaluation.metrics import relative_mse
+from lipac.lipac_addon.batch.engines import hybrid_frame
 from lipac.lipac_addon.batch.engines.blender import render_blender
 from lipac.lipac_addon.batch.engines.hybrid_frame import HybridOptions, render_hybrid
 from lipac.lipac_addon.extract import extract_frame
@@ -201,8 +202,10 @@ def test_no_denoiser(boxes, tmp_path, monkeypatch):
     _library.cache_clear()
 
 
-def test_memory_does_not_grow_with_passes(scene_file, tmp_path):
-    """Sixteen passes hold no more pictures than four: each is added to the sums. One has 16 floats per pixel."""
+def test_memory_does_not_grow_with_passes(scene_file, tmp_path, monkeypatch):
+    """Sixteen passes hold no more pictures than four: each is added to the sums. One has 16 floats per pixel. None is
+    drawn ahead of the decision here, for how many wait then depends on who is faster."""
+    monkeypatch.setattr(hybrid_frame, "AHEAD_BYTES", 0)
     bpy.ops.wm.open_mainfile(filepath=str(scene_file))
     bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y = 256, 144
     scene = extract_frame(bpy.context.scene).scene
@@ -213,7 +216,7 @@ def test_memory_does_not_grow_with_passes(scene_file, tmp_path):
         render_hybrid(scene, options, CullOptions(policy="none"), tmp_path / "a", samples)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[2] - peaks[1] < 3 * 256 * 144 * 16 * 4
+    assert peaks[2] - peaks[1] < 256 * 144 * 16 * 4
 
 
 @needs_opengl
