@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -38,6 +38,14 @@ class Timeline:
         for name, _, start, end in self.stages:
             out[name] = out.get(name, 0.0) + end - start
         return out
+
+    def elapsed(self, without: Collection[str] = ()) -> float:
+        """Seconds in which at least one stage was at work that `without` does not name."""
+        total, until = 0.0, 0.0
+        for start, end in sorted((a, b) for name, _, a, b in self.stages if name not in without):
+            total += max(end - max(start, until), 0.0)
+            until = max(until, end)
+        return total
 
     def summary(self) -> list[dict[str, Any]]:
         """For the report, by start; stages of one name that follow each other on a thread are one."""

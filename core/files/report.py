@@ -91,7 +91,7 @@ class Report:
     repetitions, in order of appearance.
 
     broken: a verification found that a frame's change is above its budget. began: `time.monotonic()` when the command
-    began, None where its seconds are those of its steps alone.
+    did.
 
     memory: who takes the memory of a render, of all frames, for memory.csv.
 
@@ -110,7 +110,7 @@ class Report:
     frames: list[dict[str, Any]] = field(default_factory=list)
     approximated: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    began: float | None = None
+    began: float = field(default_factory=time.monotonic)
     broken: bool = False
     memory: list[MemoryRow] = field(default_factory=list)
     _counted: float = field(default=0.0, init=False, repr=False)
@@ -158,13 +158,8 @@ class Report:
         return {"frames": len(frames), **sums, **largest, "wall_s": self.seconds(), "peak_bytes": peak_memory()}
 
     def seconds(self) -> float:
-        """From the command's begin until now; without that, of the steps of its frames, what overlaps counted once."""
-        if self.began is not None:
-            return time.monotonic() - self.began
-        return float(
-            sum(f.get(name, 0.0) for f in self.frames for name in (*SECONDS, "verify_s"))
-            - sum(f.get("overlap_s", 0.0) for f in self.frames)
-        )
+        """From the command's begin until now."""
+        return time.monotonic() - self.began
 
     def as_dict(self) -> dict[str, Any]:
         """The contents of report.json, of this command alone."""
@@ -241,8 +236,7 @@ class Report:
         ]
         totals = self.totals()
         everything = totals["wall_s"]
-        # render_s counts twice what two threads do at a time
-        last = f"{everything:.1f} s in all, of which {min(totals['render_s'], everything):.1f} s rendering"
+        last = f"{everything:.1f} s in all, of which {totals['render_s']:.1f} s rendering"
         if totals["verify_s"]:
             last += f", {totals['verify_s']:.1f} s verifying"
         peak = f"; peak memory {size(totals['peak_bytes'])}" if totals["peak_bytes"] else ""

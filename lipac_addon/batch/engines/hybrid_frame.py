@@ -182,11 +182,11 @@ def _save_layers(layers: dict[str, F32], stem: Path) -> None:
 
 
 def _figures(line: Timeline, rays: int, share: float) -> dict[str, Any]:
-    """Of the frame, for the report. render_s: of all stages but the analysis and its structures. share: of the picture
-    that paths have made."""
+    """Of the frame, for the report. render_s: in which anything but the analysis and its structures was at work. share:
+    of the picture that paths have made."""
     spent = line.seconds
     return {
-        "render_s": sum(seconds for stage, seconds in spent.items() if stage not in ("analysis", "building")),
+        "render_s": line.elapsed(without=("analysis", "building")),
         "raster_s": spent.get("first hits", 0.0) + spent.get("EEVEE", 0.0),
         "overlap_s": line.overlap,
         "timeline": line.summary(),

@@ -3,6 +3,7 @@ so."""
 
 from __future__ import annotations
 
+import secrets
 from dataclasses import dataclass
 
 import bpy
@@ -37,7 +38,9 @@ class Applied:
     frames: range
 
 
-_last: Applied | None = None  # what `apply` did last, beside renders
+# What `apply` did last, beside renders, by the number that the file bears since: undo goes back to an older one
+_done: dict[int, Applied] = {}
+_HELD = 4  # of them, for results of large scenes are large
 _held: Applied | None = None  # what comes back when the running render ends
 # words of marks by session uid, and how many objects there were
 _marked: tuple[int, dict[int, list[str]]] | None = None
@@ -52,7 +55,7 @@ def apply(
     in_render: until the running render ends. frames: that it holds for, None: its own. Write-back speaks of the whole
     file, so this takes the place of what another scene's result had hidden.
     """
-    global notes, _last  # noqa: PLW0603
+    global notes  # noqa: PLW0603
     restore(in_render)
     culled = result.culled & ~result.of_objects(roles.marked(roles.PIN, roles.IGNORE))
     changed = culled & _of_changed(scene, result)
@@ -71,15 +74,18 @@ def apply(
     if not in_render:
         frames = frames or range(result.frame, result.frame + 1)
         settings.applied_from, settings.applied_to, settings.applied_step = frames[0], frames[-1], frames.step
-        settings.applied_count = int(applied.removed.sum())
-        _last = Applied(scene.session_uid, result, range(frames[0], frames[-1] + 1, frames.step))
+        settings.applied_count, settings.applied_as = int(applied.removed.sum()), secrets.randbits(31)
+        _done[settings.applied_as] = Applied(scene.session_uid, result, frames_of(scene))
+        for old in list(_done)[:-_HELD]:
+            del _done[old]
     return applied
 
 
 def forget() -> None:
     """Another file is open."""
-    global notes, _last, _held
-    notes, _last, _held = (), None, None
+    global notes, _held
+    notes, _held = (), None
+    _done.clear()
     recount()
 
 
@@ -151,12 +157,10 @@ def frames_of(scene: bpy.types.Scene) -> range:
 
 
 def what_is_applied() -> Applied | None:
-    """What is applied, where that is known: not of a file that was opened, nor after some steps of undo."""
+    """What is applied, where that is known: not of a file that was opened, nor after many steps of undo."""
     owner = applied_scene()
-    known = (
-        owner is not None and _last is not None and (_last.uid, _last.frames) == (owner.session_uid, frames_of(owner))
-    )
-    return _last if known else None
+    applied = _done.get(owner.lipac.applied_as) if owner is not None else None
+    return applied if owner is not None and applied is not None and applied.uid == owner.session_uid else None
 
 
 def marks() -> dict[int, list[str]]:

@@ -181,6 +181,9 @@ class LipacSettings(bpy.types.PropertyGroup):
     applied_count: IntProperty(  # type: ignore[valid-type]
         name="Applied count", description="Instances that are hidden from renders", options={"HIDDEN"}
     )
+    applied_as: IntProperty(  # type: ignore[valid-type]
+        name="Applied as", description="Which of this session's results is applied", options={"HIDDEN"}
+    )
     in_render: BoolProperty(  # type: ignore[valid-type]
         name="In a render", description="Culled instances are hidden until the running render ends", options={"HIDDEN"}
     )

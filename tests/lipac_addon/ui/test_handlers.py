@@ -100,6 +100,27 @@ def test_what_is_applied_is_in_no_other_frame(analyzed, hidden, tmp_path):
     assert hidden() >= FAR
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_what_undo_showed_comes_back_after_a_render(analyzed, hidden, known):
+    """Not what was applied after it. known: the result is still there, else nothing comes back."""
+    bpy.ops.lipac.apply()
+    bpy.ops.ed.undo_push(message="applied")
+    analyzed.lipac.distance = 1.0
+    bpy.ops.lipac.analyze()
+    bpy.ops.lipac.apply()
+    bpy.ops.ed.undo_push(message="applied anew")
+    assert hidden() > FAR
+    while hidden() != FAR:
+        bpy.ops.ed.undo()
+    if not known:
+        applying.forget()
+    scene = bpy.context.scene
+    scene.lipac.use_for_renders = True
+    scene.frame_set(2)
+    bpy.ops.render.render()
+    assert hidden() == (FAR if known else set())
+
+
 def test_analysis_while_culling_for_renders_is_on(analyzed, hidden):
     analyzed.lipac.use_for_renders = True
     assert bpy.ops.lipac.analyze() == {"FINISHED"}
