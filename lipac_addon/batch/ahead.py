@@ -55,7 +55,7 @@ class Ahead:
         are analysed, too."""
         self._folder = tempfile.TemporaryDirectory(prefix="lipac")
         self._errors = Path(self._folder.name) / "errors.txt"
-        where = ["-o", self._folder.name, "--frames", f"{frames[0]}-{frames[-1]}", "--quiet"]
+        where = ["-o", self._folder.name, f"--frames={frames[0]}-{frames[-1]}", "--quiet"]
         # -P: whatever lies in the current folder is no module of Python's
         command = [sys.executable, "-P", "-c", _CHILD, "analyze", *arguments, *where]
         with self._errors.open("wb") as errors:

@@ -13,10 +13,10 @@ LAST_FRAME = 1048574  # Blender's own limit
 
 
 def frame_range(text: str) -> tuple[int, ...]:
-    """Frames of 'A-B' or 'A'. Raises ArgumentTypeError."""
-    found = re.fullmatch(r"(\d+)(?:-(\d+))?", text.strip())
+    """Frames of 'A-B' or 'A', each may be negative. Raises ArgumentTypeError."""
+    found = re.fullmatch(r"(-?\d+)(?:-(-?\d+))?", text.strip())
     first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
-    if not first <= last <= LAST_FRAME:
+    if not -LAST_FRAME <= first <= last <= LAST_FRAME:
         raise argparse.ArgumentTypeError(f"'{text}' is no frame range: give A-B with A not after B, for example 1-24")
     return tuple(range(first, last + 1))
 

@@ -56,7 +56,10 @@ def scene_parser(command: str, description: str) -> Parser:
         "-o", "--output", type=Path, required=True, metavar="DIR", help="folder for pictures, states and report.json"
     )
     parser.add_argument(
-        "--frames", type=frame_range, metavar="A-B", help="frames to do (default: the scene's current one)"
+        "--frames",
+        type=frame_range,
+        metavar="A-B",
+        help="frames to do; --frames=-5-3 from a negative one (default: the scene's current one)",
     )
     parser.add_argument(
         "--resolution", type=resolution, metavar="WxH", help="size of the picture (default: the scene's)"

@@ -234,6 +234,8 @@ BAD = [
     (["render", "NOTHING", "-o", "out"], "nothing to render"),
     (["render", "BLEND", "-o", "out", "--frames", "5-2"], "no frame range"),
     (["render", "BLEND", "-o", "out", "--frames", "x"], "no frame range"),
+    (["render", "BLEND", "-o", "out", "--frames=-2-"], "no frame range"),
+    (["farm", "BLEND", "-o", "out", "--frames=-2-3"], "begin at -2"),
     (["render", "BLEND", "-o", "out", "--resolution", "0x5"], "no resolution"),
     (["render", "BLEND", "-o", "out", "--samples", "0"], "not a whole number"),
     (["render", "BLEND", "-o", "out", "--threads", "-1"], "--threads"),

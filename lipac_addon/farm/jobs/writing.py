@@ -57,6 +57,8 @@ def write_shot(folder: Path, scene: Path, wanted: Wanted) -> FarmShot:
             "step to 1"
         )
     frames = wanted.frames or tuple(range(opened.frame_start, opened.frame_end + 1))
+    if frames[0] < 0:
+        raise InputError(f"a farm counts frames from 0, and these begin at {frames[0]}: move them, or use lipac render")
     checks = min(len(frames), wanted.checks or max(2, -(-len(frames) // FRAMES_TO_A_CHECK)))
     shot = FarmShot(
         Path(os.path.abspath(folder)),  # as they are called here: other machines may have other links

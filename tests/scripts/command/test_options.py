@@ -20,6 +20,14 @@ def parsed(folder: Path, engine: str, *options: str) -> argparse.Namespace:
     return args
 
 
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [("7", (7,)), ("-2", (-2,)), ("1-3", (1, 2, 3)), ("-2-1", (-2, -1, 0, 1)), ("-3--2", (-3, -2))],
+)
+def test_frames(tmp_path, text, frames):
+    assert parsed(tmp_path, "cycles", f"--frames={text}").frames == frames
+
+
 @pytest.fixture
 def added(monkeypatch: pytest.MonkeyPatch) -> str:
     """An engine that has nothing but its row."""
