@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from lipac.core.accel import region_tree
-from lipac.core.culling import activation, analysis, certificate, frame_tracer, loop, options
+from lipac.core.culling import activation, analysis, certificate, frame_tracer, loop, measurement, options, witness
 from lipac.core.error_budget import budget, error_estimate, search, units
 from lipac.core.feedback import hits, path_log, tiles
 from lipac.core.tracing import path_state, seen_emitters
@@ -116,6 +116,17 @@ CONSTANTS = {
     "LEVELS": certificate.LEVELS,
     "TOLERATED": certificate.TOLERATED,
     "FAILURES": certificate.FAILURES,
+    "NEGLIGIBLE": certificate.NEGLIGIBLE,
+    "PIECES": search.PIECES,
+    "DENSEST": certificate.DENSEST,
+    "STEEPEST": certificate.STEEPEST,
+    "MORE": certificate.MORE,
+    "DOUBTS": analysis.DOUBTS,
+    "DENSER_TIMES": analysis.DENSER_TIMES,
+    "OPENINGS": witness.OPENINGS,
+    "LIT": measurement.LIT,
+    "COINCIDENT": analysis.COINCIDENT,
+    "LARGE": activation.LARGE,
     "COLD_HITS": activation.COLD_HITS,
     "SETTLED": activation.SETTLED,
     "UNKNOWN": loop.UNKNOWN,
