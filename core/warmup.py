@@ -20,6 +20,7 @@ from .threads import processors
 
 KERNELS = 120  # kept when the path tracing kernel, which unites most of them, is all that is left to compile, about
 LAST = 0.15  # of the whole time, for that one
+MOST = 0.99  # the share that is told until it is done: then it takes longer than expected, and nobody knows how long
 
 
 _waiting: list[threading.Timer] = []  # to load kernels
@@ -78,7 +79,7 @@ class _Compiling(event.Listener):
         spent = time.monotonic() - self._first
         share = self._share(spent)
         done = share - self._begun
-        left = f", about {clock(spent * (1 - share) / done)} left" if done > 0.1 else ""
+        left = f", about {clock(spent * (1 - share) / done)} left" if done > 0.1 and share < MOST else ""
         return f"compiling kernels, the first time only: {share:.0%}{left}"
 
     def _share(self, spent: float) -> float:
@@ -88,7 +89,7 @@ class _Compiling(event.Listener):
         if done < KERNELS:
             return (1 - LAST) * done / KERNELS
         self._united = self._united or max(spent, 1e-3)
-        return min((1 - LAST) * spent / self._united, 0.99)
+        return min((1 - LAST) * spent / self._united, MOST)
 
     def on_start(self, event: event.Event) -> None:
         """One more is being compiled, perhaps for the sake of one that is."""

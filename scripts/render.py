@@ -35,13 +35,13 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--device", type=device, metavar="KIND[:CARD,...]", help=where)
     ahead = (
-        "analyse in a process of its own, the next frames while one is rendered, which then takes less memory "
-        "(default: several frames, where rendering is not on the CPU)"
+        "analyse in a separate process, the next frames while one is rendered; the render then takes less memory "
+        "(default: for several frames that are not rendered on the CPU)"
     )
     parser.add_argument("--ahead", action=BooleanOptionalAction, help=ahead)
     tiles = (
-        "Cycles reads tiles of images, of the size that it needs, from files in DIR (default: texture_cache in "
-        "-o), which are made once (Blender 5.2)"
+        "Cycles reads only those tiles of images that it needs, at the size that it needs, from files in DIR that are "
+        "made once (default: texture_cache in the output folder; Blender 5.2 and later)"
     )
     parser.add_argument("--texture-cache", type=Path, nargs="?", const=Path(), metavar="DIR", help=tiles)
     hybrid = parser.add_argument_group("--engine hybrid")
@@ -49,16 +49,16 @@ def main(argv: Sequence[str]) -> int:
         "--gi",
         choices=MODES,
         default="path",
-        help="what paths bring: all, one bounce, no diffuse bounce, nothing (default: %(default)s)",
+        help="light that paths add: all, one bounce of a kind, no diffuse bounces, none (default: %(default)s)",
     )
     hybrid.add_argument(
         "--primary",
         choices=("raster", "traced"),
         default="raster",
-        help="what finds first hits; traced: no OpenGL (default: %(default)s)",
+        help="how first hits are found: by OpenGL, or by rays, which need none (default: %(default)s)",
     )
     hybrid.add_argument(
-        "--denoise", choices=("on", "off"), default="on", help="of the traced light (default: %(default)s)"
+        "--denoise", choices=("on", "off"), default="on", help="denoise the traced light (default: %(default)s)"
     )
     hybrid.add_argument(
         "--raster-samples",

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+LEAST = 1e-5  # a smaller share is told as less than that
+
 
 def percent(share: float) -> str:
-    """A share in per cent as people read it, by two digits or more: 0.051 %, 4.4 %, 140 %."""
+    """A share in per cent as people read it, by two digits or more: 0.051 %, 4.4 %, 140 %; never 4e-06 %."""
+    if 0 < share < LEAST:
+        return f"<{100 * LEAST:g} %"
     return f"{100 * share:.2g} %" if abs(100 * share) < 99.5 else f"{100 * share:,.0f} %"
 
 

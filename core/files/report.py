@@ -246,7 +246,7 @@ class Report:
         """How far the pictures may have changed, as the analysis found, and as --verify measured; why nothing was."""
         whole = next((f["not_analysed"] for f in self.frames if "not_analysed" in f), "")
         out = [f"{whole}; --cull light-paths analyses all the same"] * bool(whole)
-        measured = f"the same in crops, rendered by {self.engine or 'path'}"
+        measured = f"measured on crops that {self.engine or 'path'} rendered in full and culled"
         sure = min((f["confidence"] for f in self.frames if "confidence" in f), default=0.0)
         unmeasured = not any("verified_mean" in f for f in self.frames)
         doubt = "as far as the analysis models the scene (see what is approximated), " * unmeasured

@@ -11,6 +11,7 @@ from pathlib import Path
 import numba
 import pytest
 
+from lipac.core import warmup
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.options import CullOptions
 from lipac.core.scene import model as s
@@ -96,3 +97,19 @@ def test_the_share_counts_what_other_processes_compiled(tmp_path: Path, monkeypa
     shares = [int(share) for text in said for share in re.findall(r"(\d+)%", text)]
     assert shares == [0, round(50 * (1 - LAST))]
     assert "left" in said[1]
+
+
+def test_what_takes_longer_than_expected_is_not_about_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No time is told where the share is the most that is told."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    now, said = [0.0], []
+    monkeypatch.setattr(warmup.time, "monotonic", lambda: now[0])
+    compiling = warmup._Compiling(lambda fraction, what: said.append(what))
+    (tmp_path / "core_1").mkdir()
+    for seconds, kept in ((0.0, 0), (10.0, KERNELS), (11.0, KERNELS), (1000.0, KERNELS)):
+        now[0] = seconds
+        for k in range(kept):
+            (tmp_path / "core_1" / f"{k}.nbi").touch()
+        compiling.on_start(None)
+    assert ["left" in text for text in said] == [False, True, True, False]
+    assert "99%" in said[-1]

@@ -148,7 +148,7 @@ def plot(measured: Measured, path: Path) -> None:
                 label=f"{frames:,} frames: in full, without certificate",
             )
         left.set(xlabel="machines", ylabel="seconds")
-        left.legend(loc="lower left")
+        left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=8)
         left.grid(alpha=0.3)
         frames, checks = SHOTS[-1]
         stacked = [simulate(measured, frames, n, checks) for n in WORKERS]
@@ -158,7 +158,7 @@ def plot(measured: Measured, path: Path) -> None:
             right.bar([str(n) for n in WORKERS], share, bottom=bottom, label=step)
             bottom = [b + s for b, s in zip(bottom, share, strict=True)]
         right.set(xlabel="machines", ylabel=f"share of the time of {frames:,} frames")
-        right.legend()
+        right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(STEPS), fontsize=8)
         with replacing(path) as part:
             figure.savefig(part, metadata={"Date": None})
 

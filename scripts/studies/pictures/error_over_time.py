@@ -75,7 +75,8 @@ def draw(points: Points, instances: int, path: Path) -> None:
         x, y = zip(*points[way], strict=True)
         axes.plot(x, y, style, label=name, color="black" if way == FULL else "#e69f00")
         for samples, at in zip(SAMPLES, points[way], strict=True):
-            axes.annotate(f"{samples}", at, (4, 5), textcoords="offset points", fontsize=8)
+            place = (4, 5) if way == FULL else (-12, -11)
+            axes.annotate(f"{samples}", at, place, textcoords="offset points", fontsize=8)
     axes.set(xscale="log", yscale="log", xlabel="seconds of all processors, whole command")
     axes.set_ylabel(f"relMSE against {TRUTH} samples of everything")
     title = f"Demo city of {instances:,} instances, 320x180; numbers are samples per pixel"

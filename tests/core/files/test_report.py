@@ -238,3 +238,4 @@ def test_seconds_of_parts_are_summed_once(tmp_path):
 def test_shares_have_no_exponents() -> None:
     shares = (0.00051, 0.044, 0.994, 0.996, 1.42, 12.5)
     assert [percent(share) for share in shares] == ["0.051 %", "4.4 %", "99 %", "100 %", "142 %", "1,250 %"]
+    assert [percent(share) for share in (0.0, 3e-9, 2e-5)] == ["0 %", "<0.001 %", "0.002 %"]

@@ -91,7 +91,7 @@ def test_nothing_culled_measures_as_nothing(boxes: Any, tmp_path: Path) -> None:
     report = Report("boxes", "", "", "distance", "cycles", 0, 1)
     run(Job(tmp_path, (1,), CullOptions(policy="distance", setting=1e6), "cycles", samples=1, verify=1), report)
     assert (report.frames[0]["verified_mean"], report.frames[0]["verified_worst"]) == (0.0, 0.0)
-    assert "the same in crops, rendered by cycles: 0 % in the mean" in report.table()
+    assert "measured on crops that cycles rendered in full and culled: 0 % in the mean" in report.table()
 
 
 def test_crops_are_not_denoised(boxes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
