@@ -33,7 +33,7 @@ class NothingToWin(Exception):
 def why(stakes: Stakes) -> str:
     """Why nothing can be won."""
     return (
-        f"with {stakes.instances:,} instances ({size(stakes.saved)}) and {stakes.paths:,} paths of a picture that "
+        f"with {stakes.instances:,} instances ({size(stakes.saved)}) and {stakes.paths:,} paths of a picture, culling "
         f"would save less than the {stakes.analysed:,} paths of an analysis take"
     )
 
