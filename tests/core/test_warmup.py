@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numba
 import pytest
+from numba.core.event import Event, EventStatus
 
 from lipac.core import warmup
 from lipac.core.culling.analysis import analyze
@@ -110,6 +111,6 @@ def test_what_takes_longer_than_expected_is_not_about_to_end(tmp_path: Path, mon
         now[0] = seconds
         for k in range(kept):
             (tmp_path / "core_1" / f"{k}.nbi").touch()
-        compiling.on_start(None)
+        compiling.on_start(Event("numba:compile", EventStatus.START))
     assert ["left" in text for text in said] == [False, True, True, False]
     assert "99%" in said[-1]

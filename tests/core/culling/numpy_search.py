@@ -85,7 +85,7 @@ class Paths:
         self.block_tile, self.half = keys % T, (x[self.pixel] + y[self.pixel] + self.k) % 2
         self.tile = self.pixel_tile[self.pixel]
         self.n = np.maximum(np.bincount(self.tile, minlength=T), 1)
-        light = summed(self.tile, self.light.astype(float), T)
+        light = summed(self.tile, np.maximum(self.light.astype(float), 0), T)  # less than nothing before a clear film
         self.lum, self.bright = (
             self.n * np.maximum(s / self.n, 0.01 * (s / self.n).mean()) for s in (light @ Y, rms(light))
         )  # eq. 3

@@ -54,12 +54,14 @@ SCENES = {"wall": wall, "meadow": lambda: meadow(400), "stage": stage}
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-@pytest.mark.parametrize("share", [0.02, 0.5])
-def test_the_estimate_of_the_page(samples: int, share: float) -> None:
-    """Of changes at random, some of which move light between neighbouring pixels: blocks say more than whole tiles."""
+@pytest.mark.parametrize(("share", "backdrop"), [(0.02, 0.0), (0.5, 0.0), (0.5, 0.7)])
+def test_the_estimate_of_the_page(samples: int, share: float, backdrop: float) -> None:
+    """Of changes at random, some of which move light between neighbouring pixels: blocks say more than whole tiles; and
+    of a transparent film, of which paths lack the backdrop."""
     rng = np.random.default_rng(3)
-    log = PathLog.zeros(50, 90, samples)
+    log = PathLog.zeros(50, 90, samples, backdrop=backdrop)
     log.color[:] = rng.gamma(1.0, 1.0, log.color.shape)
+    log.color[rng.random(log.shape) < 0.3] -= backdrop
     after = log.color.copy()
     after[:, ::4] *= np.where(rng.random(after[:, ::4].shape[:3]) < share, 0.2, 1.0)[..., None]
     after[:, 1::4] += log.color[:, ::4][:, : after[:, 1::4].shape[1]] - after[:, ::4][:, : after[:, 1::4].shape[1]]
