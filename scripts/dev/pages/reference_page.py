@@ -93,7 +93,7 @@ def page() -> str:
     """The page as Markdown."""
     parts = [
         HEAD,
-        "## Command line",
+        "## Command line\n\n`lipac --version` prints the version, `lipac COMMAND --help` the options of a command.",
         *map(command_text, COMMANDS),
         _statuses(),
         _environment(),
@@ -216,9 +216,8 @@ def _properties(owner: type, names: dict[str, Any]) -> list[tuple[str, str, str]
         default = given.get("default", "off" if found.function.__name__ == "BoolProperty" else "")
         if isinstance(default, bool):
             default = "on" if default else "off"
-        rows.append(
-            (given["name"], f"{default:g}" if isinstance(default, float) else str(default), given["description"])
-        )
+        text = f"{default:g}" if isinstance(default, float) else str(default)
+        rows.append((given["name"], text + " %" * (given.get("subtype") == "PERCENTAGE"), given["description"]))
     return rows
 
 
