@@ -28,16 +28,26 @@ class Budget:
 
     @staticmethod
     def parse(text: str, spread: float = SPREAD) -> Budget:
-        """'E' or 'E,T', shares of 1: '0.01' or '0.01,0.05'; T is spread times E unless given. Raises InputError."""
+        """'E' or 'E,T', in percent or as shares: '1%', '0.01', '1%,5%'; T is spread times E unless given, and at most 1.
+        Raises InputError, also where '1' may mean either.
+        """
         try:
-            numbers = [float(part) for part in text.split(",")]
+            numbers = [_share(part) for part in text.split(",")]
         except ValueError:
             numbers = []
         if not 1 <= len(numbers) <= 2 or not all(0 <= x <= 1 for x in numbers):
-            raise InputError(
-                f"--max-error {text}: give E or E,T, each a share between 0 and 1, for example 0.01 or 0.01,0.05"
-            )
+            raise InputError(f"--max-error {text}: give E or E,T, for example 1% or 1%,5%, or as shares 0.01,0.05")
         return Budget(numbers[0], numbers[1] if len(numbers) == 2 else min(spread * numbers[0], 1.0))
+
+
+def _share(text: str) -> float:
+    """Raises ValueError."""
+    number = text.strip()
+    if number.endswith("%"):
+        return float(number[:-1]) / 100
+    if float(number) >= 1:
+        raise ValueError
+    return float(number)
 
 
 @dataclass(frozen=True)

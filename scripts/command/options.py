@@ -74,8 +74,8 @@ def scene_parser(command: str, description: str) -> Parser:
         decides += "; with no option of this group or of a shot, and no --verify: where culling can save anything"
     culling.add_argument("--cull", choices=listed, help=f"{decides})")
     error = (
-        "light-paths: error budget: bounds of the relative change of the picture's 16 x 9 tiles, as shares, in mean "
-        "and of the worst tile (default: 0.01; T: five times E)"
+        "light-paths: error budget: bounds of the relative change of the picture's 16 x 9 tiles, in mean and of the "
+        "worst tile, for example 0.5%% or 0.005 (default: 1%%; T: five times E)"
     )
     culling.add_argument("--max-error", metavar="E[,T]", help=error)
     culling.add_argument(

@@ -15,7 +15,9 @@ def test_budget_from_the_command_line() -> None:
     assert budget.Budget.parse("0.01") == budget.Budget(0.01, 0.05)
     assert budget.Budget.parse("0.02,0.03") == budget.Budget(0.02, 0.03)
     assert budget.Budget.parse("0.5").worst == 1.0
-    for text in ("", "a", "1,2,3", "-0.1", "2", "nan"):
+    assert budget.Budget.parse("1%") == budget.Budget(0.01, 0.05)
+    assert budget.Budget.parse("0.5 %, 100%") == budget.Budget(0.005, 1.0)
+    for text in ("", "a", "0.1,0.2,0.3", "-0.1", "1", "2", "0.1,1", "nan", "%", "101%", "-1%", "nan%"):
         with pytest.raises(InputError, match="--max-error"):
             budget.Budget.parse(text)
 
