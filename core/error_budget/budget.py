@@ -28,7 +28,7 @@ class Budget:
 
     @staticmethod
     def parse(text: str, spread: float = SPREAD) -> Budget:
-        """'E' or 'E,T', in percent or as shares: '1%', '0.01', '1%,5%'; T is spread times E unless given, and at most 1.
+        """'E' or 'E,T', in percent or as shares: '1%', '0.01', '1%,5%'; T is spread times E unless given, 1 at most.
         Raises InputError, also where '1' may mean either.
         """
         try:
