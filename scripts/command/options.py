@@ -69,26 +69,26 @@ def scene_parser(command: str, description: str) -> Parser:
     )
     culling = parser.add_argument_group("culling")
     listed = [name for name, policy in POLICIES.items() if policy.listed]
-    decides = f"what decides (default: {LIGHT_PATHS}"
+    decides = f"what decides which instances stay (default: {LIGHT_PATHS}"
     if command == "render":
-        decides += "; with no option of this group or of a shot, and no --verify: where culling can save anything"
+        decides += "; only where it can save anything, unless an option of this group, of a shot, or --verify is given"
     culling.add_argument("--cull", choices=listed, help=f"{decides})")
     error = (
-        "light-paths: error budget: bounds of the relative change of the picture's 16 x 9 tiles, in mean and of the "
-        "worst tile, for example 0.5%% or 0.005 (default: 1%%; T: five times E)"
+        "light-paths: the error budget: how much the 16 x 9 tiles of the picture may change, in the mean (E) and in "
+        "the worst tile (T), for example 0.5%% or 0.005 (default: 1%%; T: five times E)"
     )
     culling.add_argument("--max-error", metavar="E[,T]", help=error)
     culling.add_argument(
         "--min-share",
         type=number,
         metavar="S",
-        help="light-paths: instead of an error, keep what at least this share of paths meets",
+        help="light-paths: instead of an error budget: keep what at least this share of the paths meets",
     )
     culling.add_argument(
         "--paths",
         type=path_count,
         metavar="N",
-        help="light-paths: paths per pixel of the analysis (default: as many as the error needs)",
+        help="light-paths: paths per pixel of the analysis (default: as many as the error budget needs)",
     )
     for policy in [policy for policy in RULES.values() if policy.listed]:
         own = policy.setting
@@ -106,57 +106,64 @@ def scene_parser(command: str, description: str) -> Parser:
         default="frame",
         help="frame: what each frame needs; shot: one set for all frames, certified in each of them",
     )
-    part = "with --bake shot: the frames that the set is for, where --frames are a part of them: so a shot can be split"
+    part = "with --bake shot: the frames that the set is for, where --frames is a part of them (to split a shot)"
     shot.add_argument("--shot", type=frame_range, metavar="A-B", help=part)
     shot.add_argument(
-        "--resume", action="store_true", help="leave frames alone that DIR has already, by the same options"
+        "--resume", action="store_true", help="skip the frames that DIR has already, made by the same options"
     )
     shot.add_argument(
         "--warm",
         action="store_true",
-        help="begin each frame with what the one before it needed, and be slow to cull (hysteresis)",
+        help="begin each frame with what the one before it needed, and cull what that kept only if it is clearly worth "
+        "less (hysteresis)",
     )
-    shot.add_argument(
+    culling.add_argument(
         "--no-parts",
         action="store_true",
-        help="light-paths: keep or cull meshes as a whole; else large ones are culled by parts",
+        help="light-paths: keep or cull meshes as a whole (default: large ones are culled by parts)",
     )
-    shot.add_argument(
+    culling.add_argument(
         "--levels",
         action="store_true",
-        help="light-paths: exchange meshes of what stays for simplified ones, and render fewer levels of subdivision "
-        "and points of curves, as far as --max-error allows",
+        help="light-paths: of what stays, simplify meshes, and render fewer levels of subdivision and fewer points of "
+        "curves, as far as --max-error allows",
     )
     shot.add_argument(
         "--no-mitigation",
         action="store_true",
-        help="with --warm: do not activate what comes into view before light paths ask for it",
+        help="with --warm: what comes into view waits until light paths ask for it",
     )
     shot.add_argument(
         "--blas-budget",
         type=byte_count,
         metavar="SIZE",
-        help="acceleration structures of meshes may take so much, for example 2G",
+        help="the most memory for the acceleration structures that the analysis builds, for example 2G",
     )
     memory = (
-        "light-paths: what the process that renders by Cycles on the CPU may take, for example 8G; where it takes "
-        "more, what changes the picture least per byte goes, too, and what that changes is reported"
+        "light-paths: the most memory of the process that renders (Cycles on the CPU), for example 8G; if --max-error "
+        "does not save enough, more is culled, what changes the picture least per byte first; the change is reported"
     )
     culling.add_argument("--memory", type=byte_count, metavar="SIZE", help=memory)
     culling.add_argument("--process", type=byte_count, help=argparse.SUPPRESS)  # takes so much before it renders
     general = parser.add_argument_group("general")
     crops = (
-        "measure the error too: so many of 12 parts of the picture, picked at random, are rendered full and "
-        "culled by the engine (default: 2)"
+        "measure the error with the render engine: N of 12 parts of the picture, picked at random, are rendered in "
+        "full and culled (default: 2)"
     )
     general.add_argument("--verify", type=crop_count, nargs="?", const=2, default=0, metavar="N", help=crops)
     again = (
-        "with --verify: where that finds more change than --max-error allows, analyse again with a tighter one; "
-        "in the end everything stays"
+        "with --verify: while it finds more change than --max-error allows, analyse again with a tighter budget; in "
+        "the end everything stays"
     )
     general.add_argument("--enforce", action="store_true", help=again)
-    general.add_argument("--seed", type=seed_number, default=0, metavar="S", help="of all random numbers (default: 0)")
-    threads = "of the analysis and the render, at a time (Blender evaluates scenes by its own); 0: all cores (default)"
+    general.add_argument(
+        "--seed",
+        type=seed_number,
+        default=0,
+        metavar="S",
+        help="of all random numbers: the same seed decides the same (default: 0)",
+    )
+    threads = "of the analysis and of the render (Blender evaluates scenes with its own); 0: all cores (default)"
     general.add_argument("--threads", type=thread_count, default=0, metavar="N", help=threads)
     general.add_argument("--quiet", action="store_true", help="no progress")
     return parser
