@@ -93,7 +93,7 @@ def page() -> str:
     """The page as Markdown."""
     parts = [
         HEAD,
-        "## Command line\n\n`lipac --version` prints the version, `lipac COMMAND --help` the options of a command.",
+        "## Command line\n\n`lipac --version` prints the version; `--help` after a command, its options.",
         *map(command_text, COMMANDS),
         _statuses(),
         _environment(),
