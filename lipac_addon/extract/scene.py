@@ -40,7 +40,8 @@ from .shading import Shading, ShadingReader, linked_emission, same_array, with_p
 from .shutter import Shutter, same_camera
 from .world import ExtractedWorld, extract_world
 
-MUCH = 0.25  # of the diagonal of a mesh's box: displaced by more, it may be anywhere about
+# of the diagonal of a mesh's box: displaced by more, it may be anywhere about, where paths pass between its shells
+MUCH = 0.25
 CATCHERS = "shadow catchers: no error bound holds for light, beside shadows, that they show; --verify measures it"
 Look = Callable[[GraphReader, Sequence[Node]], None]  # is shown a graph, and the objects at its top
 
@@ -105,6 +106,8 @@ class Frame:
             return self
         bounds, camera = self.scene.instances.bounds, self.scene.camera
         shown = View.of(camera, lens=True).shows(bounds, np.full(len(bounds), np.inf), 0.0) | everywhere
+        if self.scene.stays is not None:
+            shown |= self.scene.stays
         line = f"{by} draws lines: {'all' if everywhere else 'what is in view'} stays"
         scene = replace(self.scene, stays=shown, approximated=(*self.scene.approximated, line))
         return replace(self, scene=scene)
@@ -140,7 +143,8 @@ class SceneReader:
         linked, names = linked_materials(graph.order), tuple(graph.geometry.slots.order)
         lines, materials = linked_emission(shading.materials, names, linked, self.most)
         reliefs = self._reliefs(shading, nodes)
-        materials = self._anywhere(materials, reliefs, shading, nodes)
+        much = self._much(reliefs)
+        materials = self._anywhere(materials, {mesh: reliefs[mesh] for mesh in much}, shading, nodes)
         graph.geometry.meshes.displace(reliefs)
         placed = Placer(graph, np.zeros(3) if camera is None else scene_origin(camera), camera, self._placed).place(
             nodes
@@ -189,6 +193,7 @@ class SceneReader:
             limits=extract_limits(scene),
             origin=placed.origin,
             approximated=tuple(approximated),
+            stays=np.isin(placed.rows.mesh, much) if much else None,
             whole=next((line for line in shading.approximated if self.most and line.endswith(PORTAL)), ""),
             simplifiable=graph.geometry.meshes.simplifiable(),
             coarser=EvaluatedCoarser(
@@ -272,20 +277,27 @@ class SceneReader:
                 )
         return out
 
+    def _much(self, reliefs: dict[int, Relief]) -> list[int]:
+        """Meshes that are displaced by much of their size."""
+        source = self.graph.geometry.meshes.source
+        size = {mesh: float(np.linalg.norm(np.ptp(source(mesh).bounds, 0))) for mesh in reliefs}
+        return [mesh for mesh, relief in reliefs.items() if relief.high - relief.low > MUCH * size[mesh]]
+
     def _anywhere(
         self, materials: Records, reliefs: dict[int, Relief], shading: Shading, nodes: Sequence[Node]
     ) -> Records:
-        """Materials, of which those that displace a mesh by much of its size are marked: what it looks like is not
-        known, nor whether it is there, and what lies about may shade it. nodes: as of `_reliefs`."""
+        """Materials, of which those that displace a mesh by much of its size, which reliefs are of, are marked: what it
+        looks like is not known, nor whether it is there, and what lies about may shade it. nodes: as of `_reliefs`."""
         rows: dict[int, float] = {}  # and within how many metres it may be
         scales: dict[int, float] = {}
         for node in nodes if reliefs else ():
             mesh = -1 if node.geometry is None else node.geometry.mesh
             scales[mesh] = max(scales.get(mesh, 0.0), float(np.linalg.norm(node.world[:, :3], axis=0).max()))
         for mesh, offset in self.graph.geometry.pairs:
-            relief, source = reliefs.get(mesh), self.graph.geometry.meshes.source(mesh)
-            if relief is not None and relief.high - relief.low > MUCH * float(np.linalg.norm(np.ptp(source.bounds, 0))):
-                slots = shading.slot_materials[offset : offset + source.slot_count].tolist()
+            relief = reliefs.get(mesh)
+            if relief is not None:
+                count = self.graph.geometry.meshes.source(mesh).slot_count
+                slots = shading.slot_materials[offset : offset + count].tolist()
                 reach = min((relief.high - relief.low) * scales.get(mesh, np.inf), FARTHEST)
                 rows |= {slot: max(reach, rows.get(slot, 0.0)) for slot in slots if shading.reliefs[slot] is not None}
         if not rows:

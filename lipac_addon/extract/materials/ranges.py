@@ -31,6 +31,8 @@ OUTPUTS = {
     **{("NEW_GEOMETRY", name): SIGNED for name in ("Normal", "True Normal", "Tangent", "Incoming")},
     **{("TEX_COORD", name): UNIT for name in ("Generated", "Window")},
     **{("TEX_COORD", name): SIGNED for name in ("Normal", "Reflection")},
+    ("TEX_VORONOI", "Color"): UNIT,
+    **{("TEX_VORONOI", name): UNKNOWN for name in ("Position", "W", "Radius")},
 }
 # nodes that ask what is around, and the socket that says within how many metres
 AROUND = {"AMBIENT_OCCLUSION": "Distance", "MATERIAL_RAYCAST": "Length"}
@@ -76,6 +78,8 @@ def range_of(socket: Any) -> Interval:
 def output_range(node: Any, socket: Any) -> Interval:
     """Within what an output of a node lies, as `range_of`."""
     method: Callable[[Any], Interval] | None = _NODES.get(node.type)
+    if (node.type, socket.name) in OUTPUTS:
+        return OUTPUTS[node.type, socket.name]
     if socket.name.startswith("Is "):  # of Light Path
         return UNIT
     if socket.name == "Alpha":
@@ -86,11 +90,25 @@ def output_range(node: Any, socket: Any) -> Interval:
         value = socket.default_value
         numbers = [float(value)] if isinstance(value, (int, float)) else [float(v) for v in value[:3]]
         return min(numbers), max(numbers)
-    return OUTPUTS.get((node.type, socket.name), RANGES.get(node.type, UNKNOWN))
+    return RANGES.get(node.type, UNKNOWN)
 
 
 def _noise(node: Any) -> Interval:
     return UNIT if node.normalize and node.noise_type == "FBM" else UNKNOWN
+
+
+def _voronoi(node: Any) -> Interval:
+    """Distances. By none is a cell's nearest point farther than the cell is across: its own lies within it; the second
+    is within as much again. Octaves have weights of 1 at most, for roughness is a share."""
+    if node.normalize:
+        return UNIT
+    size = float(node.voronoi_dimensions[0])
+    power = {"EUCLIDEAN": 2.0, "MANHATTAN": 1.0, "CHEBYCHEV": np.inf}.get(node.distance)
+    if power is None or node.feature not in {"F1", "F2", "DISTANCE_TO_EDGE"}:
+        return UNKNOWN
+    across = size ** (1 / (2.0 if node.feature == "DISTANCE_TO_EDGE" else power))
+    octaves = 1 + max(0.0, range_of(node.inputs["Detail"])[1])
+    return 0.0, (2 if node.feature == "F2" else 1) * octaves * across
 
 
 def _image(node: Any) -> Interval:
@@ -189,7 +207,7 @@ def _combined(node: Any) -> Interval:
 
 _NODES: dict[str, Callable[[Any], Interval]] = {
     "TEX_NOISE": _noise,
-    "TEX_VORONOI": lambda node: UNIT if node.normalize else UNKNOWN,
+    "TEX_VORONOI": _voronoi,
     "TEX_IMAGE": _image,
     "MATH": _math,
     "VECT_MATH": _vector_math,

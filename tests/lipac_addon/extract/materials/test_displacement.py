@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import bpy
@@ -52,6 +53,11 @@ def unbounded(t: Tree) -> Any:
     ).outputs["Value"]
 
 
+def voronoi(t: Tree, output: str = "Distance", **of: Any) -> Any:
+    inputs = {name: of.pop(name) for name in ("Detail",) if name in of}
+    return t.new("ShaderNodeTexVoronoi", inputs, **of).outputs[output]
+
+
 def floats(t: Tree) -> Any:
     pixels = np.ones((4, 4, 4), np.float32)
     pixels[..., :3] = np.linspace(-3, 5, 16).reshape(4, 4, 1)
@@ -69,6 +75,11 @@ def floats(t: Tree) -> Any:
         (ramp, {"midlevel": 0.0, "scale": 1.0}, (0.0, 1.0)),
         (floats, {"midlevel": 1.0, "scale": 1.0}, (-4.0, 4.0)),
         (unbounded, {"midlevel": 0.0, "scale": 1.0}, (-np.inf, np.inf)),
+        (voronoi, {"midlevel": 0.0, "scale": 1.0}, (0.0, np.sqrt(3))),
+        (partial(voronoi, feature="F2", distance="MANHATTAN"), {"midlevel": 0.0, "scale": 1.0}, (0.0, 6.0)),
+        (partial(voronoi, voronoi_dimensions="2D", Detail=2.0), {"midlevel": 0.0, "scale": 1.0}, (0.0, 3 * np.sqrt(2))),
+        (partial(voronoi, feature="SMOOTH_F1"), {"midlevel": 0.0, "scale": 1.0}, (-np.inf, np.inf)),
+        (partial(voronoi, output="Position", normalize=True), {"midlevel": 0.0, "scale": 1.0}, (-np.inf, np.inf)),
     ],
 )
 def test_ranges(source: Any, inputs: dict[str, float], expected: tuple[float, float]) -> None:
@@ -169,6 +180,7 @@ def test_displaced_by_much_of_its_size_it_may_not_be_there(scale: float, clear: 
     assert sum(int(m["unsure"]) > 0 for m in scene.materials) == (3 if clear else 2)
     reach = sorted(scene.materials["reach"].tolist())[-3:]
     np.testing.assert_allclose(reach, 3 * scale * np.sqrt(12) / 4 if clear else 0.0, rtol=1e-5)
+    assert (None if scene.stays is None else scene.stays.tolist()) == ([True, False] if clear else None)
 
 
 def test_displacement_in_world_space_is_scaled_back(rock: Tree) -> None:
