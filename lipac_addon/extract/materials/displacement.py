@@ -2,7 +2,8 @@
 surface then lies.
 
 The tracer does not displace. In place of the surface it has the innermost and the outermost one that it can be, each of
-which lets half of all rays pass: so whatever the displaced surface hides, shows or is hit by, paths meet.
+which lets half of all rays pass, and walls between their ends: so whatever the displaced surface hides, shows or is hit
+by, paths meet.
 """
 
 from __future__ import annotations
@@ -72,19 +73,24 @@ def relief_of(tree: Any) -> Relief | None:
 
 def shells(mesh: Mesh, normals: F32, relief: Relief) -> Mesh:
     """A mesh whose displaced triangles are there twice: moved as far in and out along the normals of the vertices, (V,
-    3) float32, as they may be."""
+    3) float32, as they may be. Where they end, walls of two triangles an edge join both: no path gets in between
+    without meeting any of them."""
     slots: NDArray[Any] = np.zeros(len(mesh.triangles), np.uint16) if mesh.slots is None else mesh.slots
     displaced = np.array(relief.slots, bool)[np.minimum(slots, len(relief.slots) - 1)]
     count = len(mesh.positions)
     positions = np.concatenate(
         [mesh.positions, *(mesh.positions + normals * np.float32(offset) for offset in (relief.low, relief.high))]
     )
-    rows = np.concatenate([np.flatnonzero(~displaced), *2 * (np.flatnonzero(displaced),)])
-    moved = np.concatenate(
+    own, moved = np.flatnonzero(~displaced), np.flatnonzero(displaced)
+    row, a, b = _ends(mesh.triangles, moved)
+    rows = np.concatenate([own, moved, moved, row, row])
+    triangles = np.concatenate(
         [
-            np.zeros(int((~displaced).sum())),
-            np.full(int(displaced.sum()), count),
-            np.full(int(displaced.sum()), 2 * count),
+            mesh.triangles[own],
+            mesh.triangles[moved] + count,
+            mesh.triangles[moved] + 2 * count,
+            np.stack((a + count, b + count, b + 2 * count), axis=1),
+            np.stack((a + count, b + 2 * count, a + 2 * count), axis=1),
         ]
     )
     shading = mesh.normals
@@ -92,8 +98,18 @@ def shells(mesh: Mesh, normals: F32, relief: Relief) -> Mesh:
         shading = np.concatenate(3 * (shading,)) if shading.ndim == 2 else shading[rows]
     return Mesh(
         positions.astype(np.float32),
-        mesh.triangles[rows] + moved.astype(np.uint32)[:, None],
+        triangles.astype(np.uint32),
         shading,
         None if mesh.uvs is None else np.ascontiguousarray(mesh.uvs[:, rows]),
         None if mesh.slots is None else mesh.slots[rows],
     )
+
+
+def _ends(triangles: NDArray[np.uint32], among: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+    """Edges of triangles, (M, 3), that but one of those among has: rows of these, and both vertices."""
+    row = np.tile(among, 3)
+    a, b = (triangles[among][:, corners].T.reshape(-1).astype(np.int64) for corners in ([0, 1, 2], [1, 2, 0]))
+    edge = np.stack((np.minimum(a, b), np.maximum(a, b)), axis=1)
+    _, first, times = np.unique(edge, axis=0, return_index=True, return_counts=True)
+    once = first[times == 1]
+    return row[once], a[once], b[once]

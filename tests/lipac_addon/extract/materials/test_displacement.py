@@ -98,19 +98,39 @@ def test_no_relief() -> None:
 
 
 def test_shells_are_of_what_is_displaced() -> None:
-    """A triangle of two: twice, moved along its normals; the other stays."""
+    """A triangle of two: twice, moved along its normals, and walls of its three edges between; the other stays."""
     positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
     uvs = np.arange(24, dtype=np.float32).reshape(2, 2, 3, 2)
     mesh = Mesh(positions, np.array([[0, 1, 2], [1, 3, 2]], np.uint32), uvs=uvs, slots=np.array([0, 1], np.uint16))
     out = shells(mesh, np.tile(np.array([0, 0, 1], np.float32), (4, 1)), Relief(-0.5, 2.0, slots=(False, True)))
     assert out.uvs is not None
     assert out.slots is not None
-    np.testing.assert_allclose(out.positions[out.triangles][..., 2], np.repeat([[0.0], [-0.5], [2.0]], 3, axis=1))
+    assert len(out.triangles) == 3 + 6
+    np.testing.assert_allclose(out.positions[out.triangles[:3]][..., 2], np.repeat([[0.0], [-0.5], [2.0]], 3, axis=1))
     np.testing.assert_array_equal(
-        out.positions[out.triangles][:, :, :2], positions[mesh.triangles[[0, 1, 1]]][:, :, :2]
+        out.positions[out.triangles[:3]][:, :, :2], positions[mesh.triangles[[0, 1, 1]]][:, :, :2]
     )
-    np.testing.assert_array_equal(out.uvs, uvs[:, [0, 1, 1]])
-    assert out.slots.tolist() == [0, 1, 1]
+    np.testing.assert_array_equal(out.uvs, uvs[:, [0] + 8 * [1]])
+    assert out.slots.tolist() == [0] + 8 * [1]
+
+
+def test_what_is_displaced_is_closed() -> None:
+    """Shells and walls of a sheet of 2 x 3 squares: each edge belongs to two triangles, so that no path gets in by
+    none."""
+    rows, columns = 3, 4
+    y, x = np.divmod(np.arange(rows * columns), columns)
+    positions = np.stack((x, y, np.zeros(len(x))), axis=1).astype(np.float32)
+    low = np.flatnonzero((x < columns - 1) & (y < rows - 1))
+    squares = [
+        np.stack((low, low + 1, low + columns + 1), axis=1),
+        np.stack((low, low + columns + 1, low + columns), axis=1),
+    ]
+    mesh = Mesh(positions, np.concatenate(squares).astype(np.uint32))
+    out = shells(mesh, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)), Relief(-0.5, 2.0, slots=(True,)))
+    edges = np.sort(out.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, times = np.unique(edges, axis=0, return_counts=True)
+    assert len(out.triangles) == 2 * 12 + 2 * 10
+    assert (times == 2).all()
 
 
 @pytest.fixture
