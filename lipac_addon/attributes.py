@@ -10,14 +10,21 @@ but that they differ from place to place is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+import bpy
 import numpy as np
+from idprop.types import IDPropertyArray
 from numpy.typing import NDArray
 
 from ..core.arrays import F32
 
+Bounds = tuple[float, float]
 NAME = "\nattribute "  # begins the name of what is a UV map of such places; none of Blender's has a line's end
 PLACE = "\nplace"  # the name of what is a UV map of the pattern
 PATTERN, PERIODS = 256, 16.0  # pixels of a side; how often the pattern repeats along a mesh's diagonal
@@ -64,6 +71,54 @@ def colors_of(attribute: Any) -> F32 | None:
     out: NDArray[Any] = np.empty(len(attribute.data) * width, dtype)
     attribute.data.foreach_get(field, out)
     return np.broadcast_to(out.reshape(-1, width)[:, : min(width, 3)], (len(attribute.data), 3)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Owners:
+    """What materials may ask for attributes: objects (bpy.types.Object) of a graph, and instances, within what whose
+    attributes lie, by name."""
+
+    objects: Sequence[Any]
+    instances: Mapping[str, Bounds]
+
+
+_OWNERS: ContextVar[Owners | None] = ContextVar("owners", default=None)
+
+
+@contextmanager
+def owned_by(owners: Owners) -> Iterator[None]:
+    """Materials are of these; else they are of all objects of the file."""
+    token = _OWNERS.set(owners)
+    try:
+        yield
+    finally:
+        _OWNERS.reset(token)
+
+
+def bounds_of(name: str) -> Bounds | None:
+    """Within what a property or an attribute lies that a material asks its objects or instances for, by name; those
+    that lack it have 0. None where nothing has it."""
+    owners = _OWNERS.get() or Owners(bpy.data.objects, {})
+    found = [owners.instances[name]] if name in owners.instances else []
+    for item in owners.objects:
+        for block in (item, item.data):
+            value = _property(block, name)
+            if value is not None:
+                found.append((min(value), max(value)))
+    return (min(0.0, *(low for low, _ in found)), max(0.0, *(high for _, high in found))) if found else None
+
+
+def _property(block: Any, name: str) -> list[float] | None:
+    """The numbers of a property of a data-block: a custom one, or one of Blender's (Cycles' `lookup_property`)."""
+    if block is None:
+        return None
+    value = block.get(name)
+    if value is None and name.isidentifier():
+        value = getattr(block, name, None)
+    if isinstance(value, (bool, int, float)):
+        return [float(value)]
+    numbers = list(value) if isinstance(value, (IDPropertyArray, bpy.types.bpy_prop_array)) else []
+    return numbers if numbers and all(isinstance(one, (int, float)) for one in numbers) else None
 
 
 @cache

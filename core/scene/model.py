@@ -105,6 +105,7 @@ class InstanceFlag(IntFlag):
 
 
 NO_TEXTURE = -1
+BY_ANGLE = 5
 # what a BY_RAY material tells apart: ray types, and light sampling behind them; first of the front, then of the back
 VIEWS = RAY_TYPES + 1
 
@@ -137,7 +138,8 @@ MATERIAL = np.dtype(
         ("emission_texture", "i4"),
         ("normal_texture", "i4"),  # tangent space, +Y up
         ("transmission_texture", "i4"),
-        # Channel that a scalar socket reads: 0 red, 1 green, 2 blue, 3 alpha, 4 mean of RGB (luminance)
+        # Channel that a scalar socket reads: 0 red, 1 green, 2 blue, 3 alpha, 4 mean of RGB (luminance); of a MIX also
+        # BY_ANGLE: red, at the cosine of the angle at which a ray meets the surface
         ("metallic_channel", "u1"),
         ("roughness_channel", "u1"),
         ("alpha_channel", "u1"),

@@ -155,7 +155,8 @@ def light_passing(s, w, ox, oy, oz, dx, dy, dz, far, transparent_bounce, count, 
                 w.far_frame
             )
             view = _SHADOW + (_VIEWS if face(w.far_frame, dx, dy, dz) else np.int64(0))
-            material = part_of(s.table, mesh, material, triangle, b1, b2, view, hit_number(triangle, b1, b2))
+            u = hit_number(triangle, b1, b2)
+            material = part_of(s.table, mesh, material, triangle, b1, b2, w.far_frame, view, u)
         if load_u32(material + M_UNSURE, 0) & _CLEAR:  # all light may pass, and none
             if weighed:
                 add_worth(s, w, entry, FAR)
@@ -194,7 +195,8 @@ def _emitted(s, w, instance, triangle, b1, b2, dx, dy, dz):
     material = material_of(s.table, mesh, instance, triangle)
     if composed(material):
         view = _LIGHT + (_VIEWS if back else np.int64(0))
-        material = part_of(s.table, mesh, material, triangle, b1, b2, view, hit_number(triangle, b1, b2))
+        u = hit_number(triangle, b1, b2)
+        material = part_of(s.table, mesh, material, triangle, b1, b2, w.far_frame, view, u)
     r, g, b = emission(s.table, mesh, material, triangle, b1, b2, back)
     w.radiance[0] = r
     w.radiance[1] = g

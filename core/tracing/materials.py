@@ -3,15 +3,18 @@ map."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
 from ..jit.pointers import load_f32, load_i32, load_u8, load_u16, load_u32, load_u64, offset
 from ..jit.sampling import INNER, normalize
-from ..scene.model import MATERIAL, Shader
+from ..scene.model import BY_ANGLE, MATERIAL, Shader
 from .bsdf.lobes import (
     F_N,
     F_NS,
+    F_WI,
     P_ALPHA,
     P_BASE,
     P_COAT,
@@ -63,7 +66,8 @@ _RAYS, _PARTS, M_UNSURE = offset(MATERIAL, "rays"), offset(MATERIAL, "parts"), o
 M_REACH = offset(MATERIAL, "reach")
 _PRINCIPLED, _TRANSPARENT = np.uint32(Shader.PRINCIPLED), np.uint32(Shader.TRANSPARENT)
 _MIX, _BY_RAY = np.uint32(Shader.MIX), np.uint32(Shader.BY_RAY)
-_ZERO, _ONE, _HALF, _TWO, _THIRD = map(np.float32, (0.0, 1.0, 0.5, 2.0, 1.0 / 3.0))
+_BY_ANGLE = np.uint8(BY_ANGLE)
+_ZERO, _ONE, _HALF, _TWO, _THIRD, _TINY = map(np.float32, (0.0, 1.0, 0.5, 2.0, 1.0 / 3.0, 1e-30))
 
 
 @njit(**INNER)
@@ -179,9 +183,18 @@ def composed(material):
 
 
 @njit(**INNER)
-def part_of(table, mesh, material, triangle, b1, b2, view, u):
-    """Address of the material that counts at a point of a composed one. view: ray type, or `LIGHT_VIEW`, plus VIEWS
-    where seen from its back; u: a uniform number, that picks the parts of a MIX by their shares."""
+def _cosine(frame):
+    """Of the angle between a ray and the smooth normal."""
+    x, y, z = frame[F_WI], frame[F_WI + 1], frame[F_WI + 2]
+    d = x * frame[F_NS] + y * frame[F_NS + 1] + z * frame[F_NS + 2]
+    return abs(d) / math.sqrt(max(x * x + y * y + z * z, _TINY))
+
+
+@njit(**INNER)
+def part_of(table, mesh, material, triangle, b1, b2, frame, view, u):
+    """Address of the material that counts at a point of a composed one. frame: there, after `face`; view: ray type, or
+    `LIGHT_VIEW`, plus VIEWS where seen from its back; u: a uniform number, that picks the parts of a MIX by their
+    shares."""
     while True:
         shader = load_u32(material + M_SHADER, 0)
         if shader == _BY_RAY:
@@ -189,8 +202,12 @@ def part_of(table, mesh, material, triangle, b1, b2, view, u):
         elif shader == _MIX:
             share = load_f32(material + _ALPHA, 0)
             texture = load_i32(material + _ALPHA_TEXTURE, 0)
-            if texture >= 0 and table[T_TEXTURES] != np.uint64(0):
-                share *= sample_channel(table, mesh, texture, load_u8(material + _ALPHA_CHANNEL, 0), triangle, b1, b2)
+            channel = load_u8(material + _ALPHA_CHANNEL, 0)
+            if texture >= 0 and channel == _BY_ANGLE:
+                u0 = _cosine(frame)
+                share *= lookup(table[T_TEXTURES], table[T_BYTES], table[T_FLOATS], texture, u0, _HALF)[0]
+            elif texture >= 0 and table[T_TEXTURES] != np.uint64(0):
+                share *= sample_channel(table, mesh, texture, channel, triangle, b1, b2)
             share = min(max(share, _ZERO), _ONE)
             second = np.int64(u < share)
             u = u / share if u < share else (u - share) / (_ONE - share)  # u is below 1

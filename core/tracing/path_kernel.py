@@ -260,7 +260,7 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         if composed(material):
             _, u0 = uniform2(key, dimension + np.uint64(3))
             material = part_of(
-                s.table, mesh, material, triangle, b1, b2, ray_type + (_VIEWS if back else np.int64(0)), u0
+                s.table, mesh, material, triangle, b1, b2, w.frame, ray_type + (_VIEWS if back else np.int64(0)), u0
             )
             shader = np.int64(load_u32(material + M_SHADER, 0))
             glows = emits(material)

@@ -96,6 +96,24 @@ def is_light_linked(item: Any) -> bool:
     return linking.receiver_collection is not None or linking.blocker_collection is not None
 
 
+def colors_by_material(nodes: Iterable[Node]) -> dict[str | None, list[tuple[float, ...]]]:
+    """Red, green, blue, alpha of the objects that show each material, by its name, by what they instance themselves,
+    too."""
+    out: dict[str | None, list[tuple[float, ...]]] = {}
+    for node in nodes:
+        shown = [] if node.geometry is None else [node.geometry]
+        for geometry in shown:  # grows meanwhile
+            shown += [target for _, target in geometry.groups if isinstance(target, Geometry)]
+            for name in set(geometry.materials):
+                out.setdefault(name, []).append(tuple(node.item.color))
+    return out
+
+
+def casts_caustics(item: Any) -> bool:
+    """Whether lamps shine through an object by Cycles' shadow caustics."""
+    return bool(getattr(getattr(item, "cycles", None), "is_caustics_caster", False))
+
+
 def linked_materials(nodes: Iterable[Node]) -> dict[str | None, str]:
     """Materials, by name, of objects that light some objects alone: the name of such an object."""
     linked = [node for node in nodes if node.linked and node.geometry is not None]

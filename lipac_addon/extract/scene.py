@@ -29,7 +29,7 @@ from .differences import compare
 from .geometry.coarser import EvaluatedCoarser
 from .geometry.meshes import LazyMeshes
 from .graph import GraphReader
-from .graph_items import Node, linked_materials
+from .graph_items import Node, casts_caustics, linked_materials
 from .instances import Placed, Placer
 from .lights import place_lamps
 from .materials.displacement import Relief
@@ -38,11 +38,12 @@ from .materials.reader import WORTHLESS
 from .materials.shaders import PORTAL
 from .shading import Shading, ShadingReader, linked_emission, same_array, with_parts
 from .shutter import Shutter, same_camera
-from .world import ExtractedWorld, extract_world
+from .world import VIEW, ExtractedWorld, extract_world
 
 # of the diagonal of a mesh's box: displaced by more, it may be anywhere about, where paths pass between its shells
 MUCH = 0.25
 CATCHERS = "shadow catchers: no error bound holds for light, beside shadows, that they show; --verify measures it"
+CAUSTICS = f"shadow caustics not rendered: what only lights them, or shades them, {WORTHLESS}"
 Look = Callable[[GraphReader, Sequence[Node]], None]  # is shown a graph, and the objects at its top
 
 
@@ -165,7 +166,7 @@ class SceneReader:
             dict.fromkeys(graph.unsupported),
             dict.fromkeys((*newer_than_tested(), *graph.geometry.warnings, *far_from_origin(camera, film, places))),
         )
-        lights = self._lights(placed, approximated, warnings)
+        lights = _lights(placed, approximated, warnings)
         dropped: dict[str, int] = {}
         for block in placed.blocks:
             for name, count in block.dropped.items():
@@ -175,6 +176,8 @@ class SceneReader:
                 f"{count} instance{'s' if count > 1 else ''} of {name!r} left out: the transform is singular or not "
                 "finite"
             )
+        if any(casts_caustics(node.item) for node in graph.order):
+            approximated.setdefault(CAUSTICS)
         approximated |= dict.fromkeys((*shading.approximated, *lines))
         to_world = camera.to_world.copy()
         to_world[:, 3] -= placed.origin
@@ -230,7 +233,8 @@ class SceneReader:
         warnings = (*warnings, *(line for line in approximated if self.most and line.endswith(WORTHLESS)))
         if self.most and (scene.instances.flags & InstanceFlag.SHADOW_CATCHER).any():
             warnings = (*warnings, CATCHERS)
-        scene = replace(scene, world=world.world, approximated=tuple(approximated))
+        view = next((line for line in world.approximated if self.most and line.endswith(VIEW)), "")
+        scene = replace(scene, world=world.world, approximated=tuple(approximated), whole=scene.whole or view)
         change = None
         if self._placed is not None and self._last is not None:
             last, shading = self._last
@@ -242,15 +246,6 @@ class SceneReader:
             change = Change(previous, moved, frame.deformed, frame.replaced, shades, not _same_view(scene, last))
         self._placed, self._last = frame.placed, (scene, frame.shading)
         return Extraction(scene, frame.keys, warnings, change, frame.scatters, frame.moments, frame.materials)
-
-    @staticmethod
-    def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, None]) -> Records:
-        lamps = [lamp for block in placed.blocks for lamp in block.lamps]
-        box = np.zeros((2, 3))
-        if any(lamp.data.growth for lamp in lamps):
-            bounds = placed.rows.bounds
-            box = np.stack((bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0))).astype(np.float64)
-        return place_lamps(lamps, approximated.setdefault, warnings.setdefault, box)
 
     def _reliefs(self, shading: Shading, nodes: Sequence[Node]) -> dict[int, Relief]:
         """How meshes are displaced, by index, whatever materials they are placed with. nodes: objects at the top, whose
@@ -319,6 +314,15 @@ class SceneReader:
             for mesh, offset in pairs
             if table[offset : offset + self.graph.geometry.meshes.source(mesh).slot_count].any()
         }
+
+
+def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, None]) -> Records:
+    lamps = [lamp for block in placed.blocks for lamp in block.lamps]
+    box = np.zeros((2, 3))
+    if any(lamp.data.growth for lamp in lamps):
+        bounds = placed.rows.bounds
+        box = np.stack((bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0))).astype(np.float64)
+    return place_lamps(lamps, approximated.setdefault, warnings.setdefault, box)
 
 
 def _stand_in(scene: Any) -> bool:

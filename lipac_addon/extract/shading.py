@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from numpy.typing import NDArray
 
 from ...core.arrays import I32, Records
 from ...core.scene.model import Shader, Textures
+from .. import attributes
 from .graph import GraphReader
+from .graph_items import colors_by_material
 from .materials.displacement import Relief
 from .materials.material_table import MaterialTable
 from .materials.textures import Pixels, TextureTable
@@ -23,7 +26,7 @@ _CLASSES = ("Material", "NodeTree", "Texture", "Image")
 @dataclass(frozen=True)
 class Shading:
     """What a `Scene` needs of the materials; textured: (M,) bool, which of those that slots have need UVs; reliefs: how
-    these displace, M of them."""
+    these displace, M of them; by_object: whether they show what objects have of their own."""
 
     slot_materials: I32
     materials: Records
@@ -32,6 +35,7 @@ class Shading:
     textured: NDArray[np.bool_]
     approximated: tuple[str, ...]
     reliefs: tuple[Relief | None, ...] = ()
+    by_object: bool = False
 
     def same(self, other: Shading) -> bool:
         """Whether all arrays are the same."""
@@ -70,6 +74,7 @@ class ShadingReader:
         listed = [update.id for update in reader.listed.values()] if reader.listed is not None else None
         if (
             last is not None
+            and not last.by_object
             and listed is not None
             and order == self._order
             and not any(_shades(block) for block in listed)
@@ -79,16 +84,18 @@ class ShadingReader:
         else:
             changed = {block.name_full for block in listed or () if type(block).__name__ == "Image"}
             self._pixels = {key: pixels for key, pixels in self._pixels.items() if key[0] not in changed}
-            now = self._convert(order, reader.geometry.materials, table)
+            owners = attributes.Owners([node.item for node in reader.order], reader.geometry.bounds)
+            with attributes.owned_by(owners):
+                now = self._convert(order, reader, table)
             last = last if last is not None and last.same(now) else now
         self._last, self._order = last, order
         return last
 
-    def _convert(self, order: tuple[str | None, ...], materials: dict[str, Any], table: I32) -> Shading:
+    def _convert(self, order: tuple[str | None, ...], reader: GraphReader, table: I32) -> Shading:
         textures = TextureTable(print, self._pixels)
-        records = MaterialTable(textures, self.most)
+        records = MaterialTable(textures, self.most, cache(lambda: colors_by_material(reader.order)))
         for name in order:
-            records.index(None if name is None else materials[name])
+            records.index(None if name is None else reader.geometry.materials[name])
         textured = np.array([records.textured(k) for k in range(len(records.records))], bool)
         return Shading(
             table,
@@ -98,6 +105,7 @@ class ShadingReader:
             textured,
             tuple(records.approximated),
             tuple(records.reliefs),
+            records.by_object,
         )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,13 +25,15 @@ from .materials.reader import WORTHLESS
 
 BAKE_HEIGHT = 512  # of worlds without an image
 MAX_HEIGHT = 2048
+VIEW = "coordinates of the view: what it shows is not known; nothing is culled"
 _FILMS = {"SEQUENCE", "MOVIE"}
 _NO_LOOKS = {
     "rna_type", "inputs", "outputs", "internal_links", "parent", "location", "location_absolute", "width", "height",
     "dimensions", "select"
 }
 _DEPTH = 4  # of structs within a node: curves hold curves hold points
-SUPERSAMPLES = 16  # Cycles samples a pixel where edges (sun disc) are to be averaged
+SUPERSAMPLES = 16  # Cycles samples a pixel where edges (a sun's, or of what nodes make) are to be averaged
+SUN = 2.0  # pixels that a sun disc is wide at least: of a smaller one samples may meet nothing, or too much
 
 
 @dataclass(frozen=True)
@@ -183,14 +185,17 @@ def baked_world(world: Any) -> ExtractedWorld:
         lines.append(f"world {world.name}: Light Path node, all rays but the camera's see what rays through glass see")
     elif told:
         lines.append(f"world {world.name}: Light Path node: what only rays of other kinds see of it {WORTHLESS}")
+    if any(_by_view(node) for node in nodes):
+        lines.append(f"world {world.name}: {VIEW}")
     sizes = [n.image.size[1] for n in nodes if n.type in {"TEX_ENVIRONMENT", "TEX_IMAGE"} and n.image is not None]
     height = int(np.clip(max([BAKE_HEIGHT, *sizes]), 1, MAX_HEIGHT))
-    sun = any(n.type == "TEX_SKY" and n.sun_disc and n.sky_type not in {"PREETHAM", "HOSEK_WILKIE"} for n in nodes)
+    sun = any(_has_sun(node) for node in nodes)
     if sun:
         lines.append(f"world {world.name}: the sun disc of the sky is sampled at {180 / height:.2f} degrees a pixel")
     if max(sizes, default=0) > MAX_HEIGHT:
         lines.append(f"world {world.name}: image reduced to {2 * MAX_HEIGHT}x{MAX_HEIGHT}")
-    samples = SUPERSAMPLES if sun else 1
+    reduced = -(-max([*sizes, 1]) // MAX_HEIGHT)  # each pixel of an image counts
+    samples = max(SUPERSAMPLES if sun or not sizes else 1, reduced**2)
     image, visible, black = bake(world, height, samples), _visibility(world), np.zeros(3, np.float32)
     if not split:
         return ExtractedWorld(World(black, image, visible), tuple(lines))
@@ -198,6 +203,38 @@ def baked_world(world: Any) -> ExtractedWorld:
     if not light.any():
         return ExtractedWorld(World(black, image, visible & 1 << RayType.CAMERA), tuple(lines))
     return ExtractedWorld(World(black, light, visible, image), tuple(lines))
+
+
+def _by_view(node: Any) -> bool:
+    """Whether a node goes by where the camera looks, for which the bake has another camera."""
+    if node.type == "TEX_COORD":
+        return any(out.is_linked and out.name in {"Camera", "Window"} for out in node.outputs)
+    return node.type == "CAMERA" or (
+        node.type == "VECT_TRANSFORM" and "CAMERA" in {node.convert_from, node.convert_to}
+    )
+
+
+def _has_sun(node: Any) -> bool:
+    return node.type == "TEX_SKY" and node.sun_disc and node.sky_type not in {"PREETHAM", "HOSEK_WILKIE"}
+
+
+def _suns(tree: Any) -> Iterator[Any]:
+    """Sky nodes with a sun disc of a world's tree, and of the groups in it."""
+    for node in tree.nodes:
+        if node.type == "GROUP" and node.node_tree is not None:
+            yield from _suns(node.node_tree)
+        elif _has_sun(node):
+            yield node
+
+
+@contextmanager
+def _wide_suns(world: Any, least: float) -> Iterator[None]:
+    """Sun discs of at least this angle, which bring the same light."""
+    with ExitStack() as stack:
+        for node in _suns(world.node_tree):
+            if node.sun_size < least:
+                stack.enter_context(changed(node, sun_size=least))
+        yield
 
 
 @contextmanager
@@ -277,7 +314,7 @@ def bake(world: Any, height: int, samples: int, through: bool = False) -> F32:
         settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
         scene.render.use_file_extension = True
         path = Path(folder) / "world.exr"
-        with changed(scene.render, filepath=str(path)):
+        with changed(scene.render, filepath=str(path)), _wide_suns(scene.world, SUN * np.pi / height):
             bpy.ops.render.render(scene=scene.name, write_still=True)
         if not path.exists():
             raise InputError(f"world {world.name!r} could not be baked: Cycles rendered nothing")

@@ -386,6 +386,18 @@ def test_mixes_by_rays_and_sides(stage: Any, tmp_path: Path) -> None:
     check(tmp_path, samples=16)
 
 
+@pytest.mark.parametrize(("kind", "output"), [("Fresnel", 0), ("LayerWeight", "Fresnel"), ("LayerWeight", "Facing")])
+def test_mixes_by_the_angle(kind: str, output: str | int, stage: Any, tmp_path: Path) -> None:
+    """Panes that are clear but for what they reflect, glow at grazing angles, paint under a coat."""
+    world((0.2, 0.2, 0.3))
+    lamp("AREA", (2, -2, 3), 150, size=1.5)
+    share = f"ShaderNode{kind}", output
+    paint("Cube", blend("ShaderNodeMixShader", share, CLEAR, MIRROR))
+    paint("Sphere", blend("ShaderNodeMixShader", share, RED, ("ShaderNodeEmission", {"Strength": 3.0})))
+    paint("Plane", blend("ShaderNodeMixShader", share, GREEN, MIRROR))
+    check(tmp_path, samples=16)
+
+
 def test_a_backdrop_for_the_camera_alone(stage: Any, tmp_path: Path) -> None:
     """A sky that lights but is not seen, and another that is seen but lights nothing."""
     tree = stage.world.node_tree

@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 
 from ....core.arrays import F32
 from ....core.errors import InputError
+from ... import attributes
 from .fibres import Fibres, balls, joined, strands
 from .mesh_table import MeshTable
 from .meshes import matrices, read
 from .slots import Slots, SlotTable, material_slots
+
+PLACES = {"instance_transform", "position", "id"}  # attributes of instances that no material is coloured by
 
 
 class Target(Protocol):
@@ -85,7 +88,7 @@ class GeometryReader:
     """The geometry of a scene's objects, frame by frame.
 
     meshes: of all frames. slots, materials (by name, of the graph), pairs (meshes with their offsets into the slot
-    table) and warnings: of this frame.
+    table) and warnings: of this frame. bounds: within what attributes of instances lie, by name, in all frames so far.
     """
 
     def __init__(self, references: References) -> None:
@@ -93,6 +96,7 @@ class GeometryReader:
         self.meshes = MeshTable()
         self.slots = SlotTable()
         self.materials: dict[str, Any] = {}
+        self.bounds: dict[str, tuple[float, float]] = {}
         self.warnings: dict[str, None] = {}
         self.pairs: set[tuple[int, int]] = set()
         self.override: Any = None
@@ -175,6 +179,7 @@ class GeometryReader:
             return out
         count, out.ids = len(cloud.points), "id" in cloud.attributes
         out.columns = matrices(cloud.attributes["instance_transform"].data, count, geometry)
+        self._bound(cloud.attributes)
         reference = read(cloud.attributes[".reference_index"].data, "value", count, dtype=np.int32)
         targets = list(zip(geometry.instance_references(), kept.instance_references(), strict=True))
         if len(targets) == 1:
@@ -187,6 +192,18 @@ class GeometryReader:
                 if b > a:
                     out.groups.append((order[a:b], self._reference(*targets[k], item, f"{key}/{k}", lines)))
         return out
+
+    def _bound(self, found: Any) -> None:
+        """Take in the attributes of instances."""
+        for attribute in found:
+            name = attribute.name
+            if name in PLACES or name.startswith(".") or not len(attribute.data):
+                continue
+            values = attributes.colors_of(attribute)
+            if values is not None:
+                low, high = self.bounds.get(name, (np.inf, -np.inf))
+                values = np.nan_to_num(values)
+                self.bounds[name] = min(low, float(values.min())), max(high, float(values.max()))
 
     def _slots(self, item: Any, data: Any) -> Slots:
         return material_slots(item, data, self.override, self.materials)

@@ -74,3 +74,16 @@ def hue_saturation(rgb: Array, hue: float, saturation: float, value: float) -> A
     h, s, v = (h + hue + 0.5) % 1.0, np.clip(s * saturation, 0, 1), high * value
     k = np.stack([np.clip(np.abs((h * 6 + o) % 6 - 3) - 1, 0, 1) for o in (0, 4, 2)], axis=-1)
     return np.maximum(v[..., None] * (1 + s[..., None] * (k - 1)), 0).astype(np.float32)
+
+
+def fresnel(cosine: NDArray[np.float64], eta: float) -> NDArray[np.float64]:
+    """What a dielectric of relative index eta reflects at these cosines (Cycles' `fresnel_dielectric_cos`)."""
+    g = np.sqrt(np.maximum(eta * eta - 1 + cosine * cosine, 0))
+    a, b = (g - cosine) / (g + cosine), (cosine * (g + cosine) - 1) / (cosine * (g - cosine) + 1)
+    return np.where(g > 0, 0.5 * a * a * (1 + b * b), 1.0)
+
+
+def facing(cosine: NDArray[np.float64], blend: float) -> NDArray[np.float64]:
+    """Layer Weight's Facing (Cycles' `svm_node_layer_weight`)."""
+    blend = min(max(blend, 0.0), 1 - 1e-5)
+    return 1 - cosine ** (2 * blend if blend < 0.5 else 0.5 / (1 - blend))

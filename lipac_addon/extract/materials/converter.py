@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ....core.arrays import Records
-from ....core.scene.model import Shader, Unsure, default_material
+from ....core.scene.model import BY_ANGLE, Shader, Unsure, default_material
 from .arithmetic import Array
 from .ranges import glow_of, most_of, range_of, scatters
 from .reader import LUMINANCE, MEAN, WORTHLESS, Reader, Value, grey
@@ -19,10 +19,13 @@ from .trees import (
     Tree,
     black,
     clear,
+    doubled,
     filled,
     glowing,
     glowing_through,
     half_sure,
+    leaves,
+    lets_in,
     mark,
     mixed,
     scattered,
@@ -41,6 +44,34 @@ def _sure(pixels: Array) -> float:
     its dark parts. pixels: (H, W, 4), as much of each colour as there is on the whole."""
     bright = pixels[..., :3] @ LUMINANCE
     return min(float(np.quantile(bright, DARK)) / max(float(bright.mean()), 1e-6), 1.0)
+
+
+def either(textures: TextureTable, first: Tree, second: Tree) -> Tree:
+    """Either of two, where nobody knows how much of each shows: they emit the most that they may, and what both send on
+    is surely there."""
+    out = doubled(mixed(first, second))
+    sent = [_sent(textures, leaf) for leaf in leaves(out)]
+    least = min(dark for _, dark in sent)
+    for leaf, (mean, _) in zip(leaves(out), sent, strict=True):
+        if least > 0:
+            leaf["sure"] *= least / mean
+        else:
+            mark(leaf, Unsure.LIGHT)
+    return out
+
+
+def _sent(textures: TextureTable, record: Records) -> tuple[float, float]:
+    """How bright a surface is on the whole, and where it is dark; 0 where that hangs on what it reflects or lets
+    through."""
+    plain = int(record["shader"]) in (Shader.DIFFUSE, Shader.PRINCIPLED) and not lets_in(record)
+    shiny = record["shader"] == Shader.PRINCIPLED and (record["metallic"] > 0 or record["coat"] > 0)
+    if not plain or shiny or int(record["unsure"]) & Unsure.LIGHT:
+        return 0.0, 0.0
+    mean, sure = float(record["base_color"] @ LUMINANCE), float(record["sure"])
+    if record["base_color_texture"] >= 0:
+        pixels = textures.linear(textures.use(int(record["base_color_texture"])))
+        mean, sure = mean * float((pixels[..., :3] @ LUMINANCE).mean()), sure * _sure(pixels)
+    return mean, mean * sure
 
 
 class Converter:
@@ -91,8 +122,9 @@ class Converter:
 
     def weighed(self, socket: Any) -> tuple[Value, bool]:
         """A value that says how much of something shows, and whether it is but an approximation; then it is a half."""
-        before = self.reader.doubts
+        before, self.reader.angles = self.reader.doubts, True
         value = self.reader.value(socket)
+        self.reader.angles = False
         return (HALF, True) if self.reader.doubts > before else (value, False)
 
     def color(self, record: Records, field: str, value: Value) -> None:
@@ -104,14 +136,14 @@ class Converter:
             record[f"{field}_texture"] = self.textures.index(value.use)
 
     def base(self, record: Records, socket: Any) -> None:
-        """What it reflects or lets through; where nothing says what bounds that, it is not known what light comes by
-        it."""
+        """What it reflects or lets through; where nothing says what bounds that, or where it is another for each
+        object, it is not known what light comes by it."""
         before, value = self.reader.doubts, self.reader.value(socket)
         self.color(record, "base_color", value)
         if self.most and self.reader.doubts > before:
-            if not np.isfinite(range_of(socket)).all():
+            if value.use is None or not np.isfinite(range_of(socket)).all():
                 mark(record, Unsure.LIGHT)
-            elif value.use is not None:
+            else:
                 record["sure"] = _sure(self.reader.pixels(value))
 
     def scalar(self, record: Records, field: str, value: Value) -> None:
@@ -119,12 +151,13 @@ class Converter:
         if value.use is None:
             record[field] = value.scalar
             return
-        if len(set(value.factor)) > 1:
+        if len(set(value.factor)) > 1 or value.use.angle:
             value = self.reader.image(value)
         record[field] = value.factor[0]
         if value.use is not None:
             record[f"{field}_texture"] = self.textures.index(value.use)
-        record[f"{field}_channel"] = MEAN if value.channel is None else value.channel
+            channel = MEAN if value.channel is None else value.channel
+            record[f"{field}_channel"] = BY_ANGLE if value.use.angle else channel
 
     def roughness(self, record: Records, socket: Any) -> None:
         """The roughness; where it is not known, half of what is reflected is as sharp as it may be, and half as

@@ -11,11 +11,10 @@ as "material NAME: WHAT".
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import Any
 
-import bpy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +46,8 @@ from .trees import (
 # Where a pattern's dark parts are darker than so much of its mean, half of what it shows is sure: a tile may hold dark
 # parts alone, and with them twice as much of what lies on these as the pattern has there
 DARKER = 0.25
+Colors = Mapping[str | None, Sequence[Sequence[float]]]
+BY_OBJECT = {"OBJECT_INFO", "ATTRIBUTE"}
 LIGHT_LOOP = {
     "ShaderNodeLightAccumulation", "ShaderNodeLightEvaluation", "ShaderNodeLightInfo", "ShaderNodeShadowRaycast"
 }
@@ -56,16 +57,21 @@ class MaterialTable:
     """Materials by name: `index(material)` converts one the first time.
 
     records: the materials, composed ones with `parts` that are numbered from the first of those records that are parts
-    of others.
+    of others. by_object: whether some show what objects have of their own, which may change though no material does.
     """
 
-    def __init__(self, textures: TextureTable, most: bool = True) -> None:
+    def __init__(
+        self, textures: TextureTable, most: bool = True, colors: Callable[[], Colors] = dict[str | None, Any]
+    ) -> None:
         """most: what is not modelled is taken for the most that it may do, so that an analysis errs on the side of
-        seeing more: true displacement, emission, subsurface; else it is left out, or an average is there."""
+        seeing more: true displacement, emission, subsurface; else it is left out, or an average is there. colors: of
+        the objects that show each material, by its name."""
+        self._colors = colors
         self.textures = textures
         self.most = most
         self.records: list[Records] = []
         self.reliefs: list[Relief | None] = []
+        self.by_object = False
         self.approximated: dict[str, None] = {}
         self._parts: list[Records] = []
         self._textured: list[bool] = []
@@ -118,7 +124,9 @@ class MaterialTable:
         tree = inlined.node_tree
         if tree.get_output_node("CYCLES") is None:
             tree = material.node_tree  # only the active output is inlined, and that one may be EEVEE's
-        out = convert_tree(tree, self.textures, report, self.most, lambda: _colors_of_objects(material.name_full))
+        self.by_object |= any(node.type in BY_OBJECT for node in tree.nodes)
+        name = material.name_full
+        out = convert_tree(tree, self.textures, report, self.most, lambda: _rows(self._colors().get(name)))
         if any(leaf["sure"] < DARKER for leaf in leaves(out)):
             out = half_sure(out)
         if loops:  # the constants in its place may be shares of anything
@@ -169,14 +177,9 @@ def _is_textured(record: Records) -> bool:
     return any(record[name] >= 0 for name in record.dtype.names or () if name.endswith("_texture"))
 
 
-def _colors_of_objects(material: str) -> NDArray[np.float64]:
-    """(K, 4) colours of the objects of the file that show a material, by its full name."""
-    shown = [
-        tuple(ob.color)
-        for ob in bpy.data.objects
-        if any(slot.material is not None and slot.material.name_full == material for slot in ob.material_slots)
-    ]
-    return np.array(shown, np.float64).reshape(-1, 4)
+def _rows(colors: Sequence[Sequence[float]] | None) -> NDArray[np.float64]:
+    """(K, 4)."""
+    return np.array(colors or (), np.float64).reshape(-1, 4)
 
 
 def convert_tree(

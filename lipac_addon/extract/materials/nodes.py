@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ....core.scene.model import RayType
-from .arithmetic import MATH, Array, blend_colors, hue_saturation
+from .arithmetic import MATH, Array, blend_colors, facing, fresnel, hue_saturation
 from .placement import placement
 from .reader import ALPHA, Reader, Value, grey
 from .textures import EXTENSIONS, ImageUse
@@ -53,6 +53,25 @@ def node_new_geometry(reader: Reader, node: Any, socket: Any) -> Value | None:
         return None
     reader.asked = True
     return grey(float(reader.view.back))
+
+
+def node_fresnel(reader: Reader, node: Any, socket: Any) -> Value | None:
+    if not reader.angles or node.inputs["Normal"].is_linked:
+        return None
+    eta = max(float(reader.constant(node.inputs["IOR"])[0]), 1e-5)
+    reader.asked = True
+    return reader.by_angle(lambda cosine: fresnel(cosine, 1 / eta if reader.view.back else eta))
+
+
+def node_layer_weight(reader: Reader, node: Any, socket: Any) -> Value | None:
+    if not reader.angles or node.inputs["Normal"].is_linked:
+        return None
+    blend = float(reader.constant(node.inputs["Blend"])[0])
+    if socket.name == "Facing":
+        return reader.by_angle(lambda cosine: facing(cosine, blend))
+    eta = max(1 - blend, 1e-5)
+    reader.asked = True
+    return reader.by_angle(lambda cosine: fresnel(cosine, eta if reader.view.back else 1 / eta))
 
 
 def node_object_info(reader: Reader, node: Any, socket: Any) -> Value | None:

@@ -4,9 +4,12 @@ most."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextvars import ContextVar
 from typing import Any
 
 import numpy as np
+
+from ... import attributes
 
 Interval = tuple[float, float]
 UNKNOWN: Interval = (-np.inf, np.inf)
@@ -24,7 +27,7 @@ RANGES = {
 }
 # of outputs whose range is their own
 OUTPUTS = {
-    **{("OBJECT_INFO", name): UNIT for name in ("Random", "Alpha", "Color")},
+    **{("OBJECT_INFO", name): UNIT for name in ("Random", "Alpha")},
     **{(kind, "Random"): UNIT for kind in ("PARTICLE_INFO", "HAIR_INFO", "CURVES_INFO", "POINT_INFO")},
     **{("HAIR_INFO", name): UNIT for name in ("Is Strand", "Intercept")},
     **{("NEW_GEOMETRY", name): UNIT for name in ("Backfacing", "Pointiness", "Random Per Island", "Parametric")},
@@ -38,12 +41,18 @@ OUTPUTS = {
 AROUND = {"AMBIENT_OCCLUSION": "Distance", "MATERIAL_RAYCAST": "Length"}
 FARTHEST = 1e30
 MOST = 10.0, 100.0  # what a colour and what a number is taken to be at most, where nothing says what bounds it
+_ASSUMED: ContextVar[bool] = ContextVar("whether that is assumed", default=False)
 
 
 def most_of(socket: Any) -> float:
     """The most that the value of a socket of emission may be."""
     _, high = range_of(socket)
-    return high if np.isfinite(high) else MOST[socket.type == "VALUE"]
+    if np.isfinite(high):
+        return high
+    token = _ASSUMED.set(True)
+    _, high = range_of(socket)
+    _ASSUMED.reset(token)
+    return high
 
 
 def total(a: Interval, b: Interval) -> Interval:
@@ -77,6 +86,14 @@ def range_of(socket: Any) -> Interval:
 
 def output_range(node: Any, socket: Any) -> Interval:
     """Within what an output of a node lies, as `range_of`."""
+    low, high = _output_range(node, socket)
+    if _ASSUMED.get():
+        most = MOST[socket.type == "VALUE"]
+        return low if np.isfinite(low) else -most, high if np.isfinite(high) else most
+    return low, high
+
+
+def _output_range(node: Any, socket: Any) -> Interval:
     method: Callable[[Any], Interval] | None = _NODES.get(node.type)
     if (node.type, socket.name) in OUTPUTS:
         return OUTPUTS[node.type, socket.name]
@@ -84,6 +101,8 @@ def output_range(node: Any, socket: Any) -> Interval:
         return UNIT
     if socket.name == "Alpha":
         return UNIT
+    if (node.type, socket.name) == ("OBJECT_INFO", "Color"):
+        return attributes.bounds_of("color") or UNIT
     if method is not None:
         return method(node)
     if node.type in {"RGB", "VALUE"}:
@@ -91,6 +110,11 @@ def output_range(node: Any, socket: Any) -> Interval:
         numbers = [float(value)] if isinstance(value, (int, float)) else [float(v) for v in value[:3]]
         return min(numbers), max(numbers)
     return RANGES.get(node.type, UNKNOWN)
+
+
+def _attribute(node: Any) -> Interval:
+    asked = node.attribute_type in {"OBJECT", "INSTANCER"}
+    return (attributes.bounds_of(node.attribute_name) if asked else None) or UNKNOWN
 
 
 def _noise(node: Any) -> Interval:
@@ -206,6 +230,7 @@ def _combined(node: Any) -> Interval:
 
 
 _NODES: dict[str, Callable[[Any], Interval]] = {
+    "ATTRIBUTE": _attribute,
     "TEX_NOISE": _noise,
     "TEX_VORONOI": _voronoi,
     "TEX_IMAGE": _image,

@@ -25,6 +25,7 @@ ALPHA = 3
 WORTHLESS = "is taken to be worth nothing"  # ends lines that say what can be culled although the picture shows it
 TILES = {"TEX_CHECKER", "TEX_BRICK"}
 MEAN = 4  # the channel value that stands for luminance
+ANGLES = 256  # steps of what depends on the angle at which a ray meets a surface
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,8 @@ def no_objects() -> NDArray[np.float64]:
 class Reader:
     """Reads the sockets of one inlined tree, as one view sees them.
 
-    asked: whether anything depended on the view. doubts: how many values so far are but stand-ins for others.
+    asked: whether anything depended on the view. angles: whether a value may depend on the angle at which a ray meets
+    the surface. doubts: how many values so far are but stand-ins for others.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class Reader:
         self.report = report
         self.view = view
         self.asked = False
+        self.angles = False
         self.doubts = 0
 
     def doubt(self, line: str) -> None:
@@ -155,7 +158,8 @@ class Reader:
 
     def _aligned(self, a: ImageUse, b: ImageUse) -> bool:
         shapes = [self.textures.sources[u.source].data.shape[:2] for u in (a, b)]
-        return (a.uv_map, a.matrix, a.extension) == (b.uv_map, b.matrix, b.extension) and shapes[0] == shapes[1]
+        places = [(u.uv_map, u.matrix, u.extension, u.angle) for u in (a, b)]
+        return places[0] == places[1] and shapes[0] == shapes[1]
 
     def convert(self, value: Value, source: Any, target: Any) -> Value:
         """Implicit conversion between socket types: colour to float is luminance, vector to float the mean."""
@@ -175,6 +179,12 @@ class Reader:
         palette = self.textures.add(attributes.palette())
         place = self.textures.uv_map(f"{attributes.NAME}{name}")
         return Value((1.0, 1.0, 1.0), ImageUse(palette, place, extension=int(Extension.EXTEND), closest=True))
+
+    def by_angle(self, function: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Value:
+        """A function of the cosine of the angle at which a ray meets the surface."""
+        data = np.ones((1, ANGLES, 4), np.float32)
+        data[..., :3] = function((np.arange(ANGLES) + 0.5) / ANGLES)[:, None]
+        return Value((1.0, 1.0, 1.0), ImageUse(self.textures.add(data), extension=int(Extension.EXTEND), angle=True))
 
     def flat(self, value: Value) -> Value:
         """The value, in place of a pattern its average."""

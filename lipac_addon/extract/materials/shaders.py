@@ -6,7 +6,7 @@ from typing import Any
 
 from ....core.arrays import Records
 from ....core.scene.model import Shader, Unsure, default_material
-from .converter import HALF, Converter
+from .converter import HALF, Converter, either
 from .reader import Value, grey
 from .trees import (
     Composed,
@@ -199,10 +199,7 @@ def node_add_shader(converter: Converter, node: Any) -> Tree | None:
 
 
 def node_mix_shader(converter: Converter, node: Any) -> Tree | None:
-    source = node.inputs[0].links[0].from_node if node.inputs[0].is_linked else None
     a, b = converter.surface(node.inputs[1]), converter.surface(node.inputs[2])
-    if source is not None and source.type in {"FRESNEL", "LAYER_WEIGHT"}:
-        return _by_fresnel(converter, source, a, b)
     factor, doubtful = converter.weighed(node.inputs[0])
     t = min(max(factor.scalar, 0.0), 1.0)
     if factor.use is None:
@@ -211,8 +208,10 @@ def node_mix_shader(converter: Converter, node: Any) -> Tree | None:
         factor = grey(t)
     a, b = (black() if r is None else r for r in (a, b))
     if doubtful:
-        return unsure(_halves(converter, a, b), whether=True)
-    if isinstance(a, Composed) or isinstance(b, Composed):
+        out = either(converter.textures, a, b) if converter.most else mixed(a, b)
+        return unsure(out, whether=True)
+    angle = factor.use is not None and factor.use.angle
+    if angle or isinstance(a, Composed) or isinstance(b, Composed):
         return _mix(converter, a, b, factor)
     for one, other, swapped in ((a, b, False), (b, a, True)):
         if (
@@ -234,35 +233,5 @@ def node_mix_shader(converter: Converter, node: Any) -> Tree | None:
     return _mix(converter, a, b, factor)
 
 
-def _halves(converter: Converter, first: Tree, second: Tree) -> Tree:
-    """Either of two, where nobody knows how much of each shows."""
-    out = mixed(first, second)
-    return doubled(out) if converter.most else out
-
-
 def _complement(converter: Converter, factor: Value) -> Value:
     return grey(1 - factor.scalar) if factor.use is None else converter.reader.map(lambda x: 1 - x, factor)
-
-
-def _by_fresnel(converter: Converter, source: Any, a: Tree | None, b: Tree | None) -> Tree:
-    """The classic of older files: a coat of Glossy over Diffuse by Fresnel or Layer Weight is what Principled does."""
-    a, b = (black() if r is None else r for r in (a, b))
-    if not isinstance(a, Composed) and not isinstance(b, Composed):
-        if a["shader"] == Shader.DIFFUSE and b["shader"] == Shader.GLOSSY:
-            converter.report(f"Mix Shader by {source.bl_label} rendered as Principled")
-            out = a.copy()
-            out["shader"] = Shader.PRINCIPLED
-            for name in ("roughness", "roughness_texture", "roughness_channel"):
-                out[name] = b[name]
-            if source.type == "FRESNEL":
-                out["ior"] = converter.reader.constant(source.inputs["IOR"])[0]
-            else:  # Layer Weight: blend b stands for an index of refraction of 1 / (1 - b)
-                out["ior"] = 1 / (1 - min(float(converter.reader.constant(source.inputs["Blend"])[0]), 0.9))
-            return out
-        if {int(a["shader"]), int(b["shader"])} == {int(Shader.REFRACTION), int(Shader.GLOSSY)}:
-            converter.report(f"Mix Shader by {source.bl_label} rendered as Glass")
-            out = (a if a["shader"] == Shader.REFRACTION else b).copy()
-            out["shader"] = Shader.GLASS
-            return out
-    converter.report(f"Mix Shader by {source.bl_label}: half of each, at any angle")
-    return unsure(_halves(converter, a, b))

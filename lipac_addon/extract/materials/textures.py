@@ -29,13 +29,14 @@ LINEAR = {"Linear Rec.709", "Linear", "scene_linear", "Non-Color", "Raw", "Gener
 @dataclass(frozen=True)
 class ImageUse:
     """An image as a node samples it. source: index of its pixels in the table; matrix: the 2x3 of
-    `TEXTURE["uv_matrix"]`, row by row."""
+    `TEXTURE["uv_matrix"]`, row by row; angle: looked up by the angle at which a ray meets the surface (`BY_ANGLE`)."""
 
     source: int
     uv_map: int = 0
     matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     extension: int = int(Extension.REPEAT)
     closest: bool = False
+    angle: bool = False
 
 
 @dataclass
@@ -153,6 +154,10 @@ class TextureTable:
     def index(self, use: ImageUse) -> int:
         """Index into `Textures.records`."""
         return self._uses.setdefault(use, len(self._uses))
+
+    def use(self, index: int) -> ImageUse:
+        """What an index of `Textures.records` stands for."""
+        return list(self._uses)[index]
 
     def build(self) -> Textures:
         """Pools with every image that a record refers to, once."""

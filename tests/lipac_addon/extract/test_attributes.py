@@ -12,7 +12,7 @@ from lipac.core.arrays import F32
 from lipac.lipac_addon.attributes import palette, places
 from lipac.lipac_addon.extract import extract_frame
 
-from .conftest import add, cube
+from .conftest import add, cube, grid, nodes, scattered
 
 
 def shown(uvs: F32, pixels: F32) -> F32:
@@ -113,3 +113,26 @@ def test_what_meshes_have_is_what_they_show(kind: str, type_: str, domain: str) 
             if times == 2:
                 expected = np.repeat((expected @ (0.2126, 0.7152, 0.0722))[:, None], 3, axis=1)
             np.testing.assert_allclose(found, times * expected, rtol=0.1, atol=2e-3)
+
+
+def test_within_what_attributes_of_instances_lie() -> None:
+    """Those that emit by such an attribute emit as much as it says, by thousands too."""
+    glow = bpy.data.materials.new("glow")
+    tree, surface = glow.node_tree, glow.node_tree.nodes["Principled BSDF"]
+    node = tree.nodes.new("ShaderNodeAttribute")
+    node.attribute_type, node.attribute_name = "INSTANCER", "power"
+    tree.links.new(node.outputs[2], surface.inputs["Emission Strength"])
+    surface.inputs["Emission Color"].default_value = (1, 1, 1, 1)
+    lantern = add("lantern", cube())
+    lantern.data.materials.append(glow)
+
+    def build(_: Any, new: Any) -> Any:
+        inputs = {"Object": lantern, "As Instance": True}
+        rows = scattered(new, grid(new, 3), new("GeometryNodeObjectInfo", inputs).outputs["Geometry"])
+        stored = new("GeometryNodeStoreNamedAttribute", {"Geometry": rows, "Name": "power"}, domain="INSTANCE")
+        next(s for s in stored.inputs if s.name == "Value" and s.type == "VALUE").default_value = 2500.0
+        return stored.outputs[0]
+
+    nodes(add("host", cube("host")), build)
+    scene = extract_frame(bpy.context.scene).scene
+    assert scene.materials["emission"].max() == 2500.0

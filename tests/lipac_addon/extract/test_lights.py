@@ -171,3 +171,11 @@ def test_instanced_lights() -> None:
 def test_no_light_is_a_warning() -> None:
     """Said once; an emitting material is light enough."""
     assert any("no light" in w for w in extracted().warnings)
+
+
+@pytest.mark.parametrize("cast", [False, True])
+def test_shadow_caustics_warn(cast: bool) -> None:
+    """What is between a lamp and what it shines through is met by no path."""
+    add("lamp", lamp("POINT"))
+    add("lens", cube()).cycles.is_caustics_caster = cast
+    assert any("shadow caustics" in line for line in extracted().warnings) == cast

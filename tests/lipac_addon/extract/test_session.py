@@ -353,6 +353,21 @@ def test_lights_materials_cameras() -> None:
     assert moved == [6]
 
 
+def test_colours_of_objects_that_change() -> None:
+    """A material that shows them is another, though nothing of it changes."""
+    material = bpy.data.materials.new("m")
+    tree = material.node_tree
+    socket = next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED").inputs["Base Color"]
+    tree.links.new(tree.nodes.new("ShaderNodeObjectInfo").outputs["Color"], socket)
+    mesh = cube()
+    mesh.materials.append(material)
+    key(add("cube", mesh), "color", {1: (0.1, 0.1, 0.1, 1), 2: (0.1, 0.1, 0.1, 1), 3: (0.9, 0.5, 0.1, 1)})
+    row = follow(range(1, 4))
+    found = [e.scene.materials["base_color"][0].tolist() for e in row]
+    np.testing.assert_allclose(found, [[0.1] * 3, [0.1] * 3, [0.9, 0.5, 0.1]], rtol=1e-6)
+    assert [bool(e.change and e.change.shading) for e in row[1:]] == [False, True]
+
+
 def test_an_animated_sky_is_rendered_when_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     world = bpy.context.scene.world = bpy.data.worlds.new("World")
     if world.node_tree is None:

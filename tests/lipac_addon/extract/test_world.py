@@ -47,6 +47,7 @@ def test_baked_world_shows_directions(monkeypatch: pytest.MonkeyPatch) -> None:
     """A world that emits its own direction, moved to be positive: every pixel looks where the core says it does.
     Nothing stays behind in the file."""
     monkeypatch.setattr(module, "BAKE_HEIGHT", 32)
+    monkeypatch.setattr(module, "SUPERSAMPLES", 1)  # at the centres of pixels
     world, tree, background = new_world()
     world.cycles_visibility.camera = False
     coordinates, shift = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeVectorMath")
@@ -158,6 +159,68 @@ def test_sky_with_a_sun_keeps_its_power() -> None:
     # Coverage of some 8 pixels on the disc's edge by 16 stratified samples each: under 10 % of their share, which is
     # most of the disc
     assert sun(256) == pytest.approx(sun(512), rel=0.2)
+
+
+@pytest.mark.parametrize("grouped", [False, True])
+def test_a_sun_of_less_than_a_pixel_keeps_its_power(grouped: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disc so small that no sample meets it, for crisp shadows; the file's own stays as small."""
+    monkeypatch.setattr(module, "BAKE_HEIGHT", 128)
+    _, tree, background = new_world()
+    inner = bpy.data.node_groups.new("sky", "ShaderNodeTree") if grouped else tree
+    sky = inner.nodes.new("ShaderNodeTexSky")
+    sky.sun_disc, sky.sun_elevation, sky.sun_size = True, 0.6, np.radians(6)
+    socket = sky.outputs[0]
+    if grouped:
+        inner.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+        inner.links.new(socket, inner.nodes.new("NodeGroupOutput").inputs[0])
+        group = tree.nodes.new("ShaderNodeGroup")
+        group.node_tree = inner
+        socket = group.outputs[0]
+    tree.links.new(socket, background.inputs["Color"])
+
+    def power() -> np.ndarray:
+        image = extract_world(bpy.context.scene).world.image
+        assert image is not None
+        return (image * np.sin((np.arange(128) + 0.5) / 128 * np.pi)[:, None, None]).sum(axis=(0, 1))
+
+    wide, sky.sun_size = power(), np.radians(0.05)
+    size = sky.sun_size
+    np.testing.assert_allclose(power(), wide, rtol=0.05)
+    assert sky.sun_size == size
+
+
+def test_an_image_that_is_reduced_keeps_its_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lamp of one pixel, which samples at the centres of larger ones miss."""
+    monkeypatch.setattr(module, "BAKE_HEIGHT", 8)
+    monkeypatch.setattr(module, "MAX_HEIGHT", 16)
+    _, tree, background = new_world()
+    pixels = np.zeros((64, 128, 4), np.float32)
+    pixels[..., 3] = 1
+    pixels[40, 77, :3] = 1000
+    image = bpy.data.images.new("env", 128, 64, float_buffer=True)
+    image.pixels.foreach_set(pixels.ravel())
+    image.pack()
+    node = tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = image
+    tree.links.new(node.outputs[0], background.inputs["Color"])
+    baked = extract_world(bpy.context.scene).world.image
+    assert baked is not None
+    assert baked.shape == (16, 32, 3)
+    assert baked[..., 0].sum() == pytest.approx(1000 / 16, rel=0.5)  # bilinear, by 16 samples a pixel
+
+
+@pytest.mark.parametrize(("output", "known"), [("Window", False), ("Camera", False), ("Generated", True)])
+def test_nothing_goes_before_a_world_that_is_seen_by_the_view(
+    output: str, known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A backdrop by coordinates of the picture, or of the camera: it is baked by another one."""
+    monkeypatch.setattr(module, "BAKE_HEIGHT", 32)
+    _, tree, background = new_world()
+    tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs[output], background.inputs["Color"])
+    add("cube", cube())
+    scene = extract_frame(bpy.context.scene).scene
+    assert (scene.whole == "") == known
+    assert any(line.endswith(module.VIEW) for line in scene.approximated) != known
 
 
 def test_a_layer_without_environment_is_black() -> None:

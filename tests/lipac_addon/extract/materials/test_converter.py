@@ -10,10 +10,23 @@ import numpy as np
 import pytest
 
 from lipac.core.arrays import Records
-from lipac.core.scene.model import MATERIAL, VIEWS, Extension, RayType, Shader, Textures, Unsure, default_material
+from lipac.core.scene.model import (
+    BY_ANGLE,
+    MATERIAL,
+    VIEWS,
+    Extension,
+    RayType,
+    Shader,
+    Textures,
+    Unsure,
+    default_material,
+)
+from lipac.lipac_addon import attributes
 from lipac.lipac_addon.extract import extract_frame
+from lipac.lipac_addon.extract.materials.converter import DARK
 from lipac.lipac_addon.extract.materials.material_table import MaterialTable
 from lipac.lipac_addon.extract.materials.ranges import FARTHEST
+from lipac.lipac_addon.extract.materials.reader import ANGLES, LUMINANCE
 from lipac.lipac_addon.extract.materials.textures import TextureTable, srgb_to_linear
 
 from ..conftest import add, cube
@@ -348,7 +361,7 @@ def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
                 "ShaderNodeMixShader", {0: factor, 1: clear.outputs[0], 2: t.new("ShaderNodeBsdfPrincipled").outputs[0]}
             )
         )
-        assert (head["shader"], head["alpha"], [int(part["unsure"]) for part in parts]) == (Shader.MIX, 0.5, [3, 3])
+        assert (head["shader"], head["alpha"], [int(part["unsure"]) for part in parts]) == (Shader.MIX, 0.5, [7, 7])
         assert len(lines) == 1
     for socket, field in (("Alpha", "alpha"), ("Transmission Weight", "transmission")):
         (record,), _, _ = t.parts(t.new("ShaderNodeBsdfPrincipled", {socket: value}))
@@ -360,7 +373,7 @@ def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "output", "most"),
     [
-        ("ObjectInfo", "Random", 1.0), ("TexNoise", 0, 1.0), ("LayerWeight", "Facing", 1.0), ("Attribute", 2, 100.0),
+        ("ObjectInfo", "Random", 1.0), ("TexNoise", 0, 1.0), ("Wireframe", 0, 1.0), ("Attribute", 2, 100.0),
         ("LightPath", "Ray Length", 100.0),
     ],
 )
@@ -375,11 +388,11 @@ def test_emission_that_is_not_known_is_the_most_that_it_may_be(kind: str, output
         t.new("ShaderNodeBsdfPrincipled", {"Emission Color": (1, 0.5, 0.25, 1), "Emission Strength": scaled}),
     ):
         record, _, lines = t.record(node)
-        strength = 8 * most if most < 100 else most
+        strength = 8 * most
         np.testing.assert_allclose(record["emission"], strength * np.array([1, 0.5, 0.25]))
         assert (record["unsure_emission"], len(lines)) == (1, 1)
     record, _, _ = t.record(t.new("ShaderNodeEmission", {"Color": source, "Strength": 3.0}))
-    np.testing.assert_allclose(record["emission"], 3 * (most if most < 100 else 10.0))
+    np.testing.assert_allclose(record["emission"], 3 * most)
     assert record["unsure_emission"] == 1
     glow = t.new("ShaderNodeEmission", {"Strength": 3.0}).outputs[0]
     _, *parts = t.parts(t.new("ShaderNodeMixShader", {0: source, 1: glow}))[0]
@@ -567,10 +580,95 @@ def test_the_colour_of_objects(same: bool) -> None:
         ob.color = (0.1, 0.2, 0.3, 1) if same and k < 2 else color
         if k < 2:
             ob.data.materials.append(t.material)
-    inputs = {"Base Color": info["Color"], "Alpha": info["Alpha"]}
-    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", inputs))
+    surface = t.new("ShaderNodeBsdfPrincipled", {"Base Color": info["Color"], "Alpha": info["Alpha"]})
+    t.tree.links.new(surface.outputs[0], t.output.inputs["Surface"])
+    scene = extract_frame(bpy.context.scene).scene
+    record = scene.materials[scene.slot_materials[scene.instances.slots[0]]]
     np.testing.assert_allclose(record["base_color"], (0.1, 0.2, 0.3) if same else (0.2, 0.3, 0.4), rtol=1e-6)
-    assert (record["alpha"], record["unsure"], bool(lines)) == ((1, 0, False) if same else (0.5, 3, True))
+    known = (1, 0, False) if same else (0.5, 7, True)
+    assert (record["alpha"], record["unsure"], bool(scene.approximated)) == known
+
+
+@pytest.mark.parametrize(("kind", "output"), [("Fresnel", 0), ("LayerWeight", "Fresnel"), ("LayerWeight", "Facing")])
+@pytest.mark.parametrize("more", [False, True])
+def test_shares_by_the_angle_are_followed(kind: str, output: str | int, more: bool) -> None:
+    """Through what nodes make of them, too; but not with normals of their own."""
+    t = Tree()
+    source = t.new(f"ShaderNode{kind}", {0: 1.5 if kind == "Fresnel" else 0.3})
+    share = source.outputs[output]
+    if more:
+        share = t.new("ShaderNodeMath", {0: share, 1: 0.5}, operation="MULTIPLY").outputs[0]
+    mix = t.new("ShaderNodeMixShader", {0: share, 1: t.new("ShaderNodeBsdfDiffuse").outputs[0]})
+    records, textures, lines = t.parts(mix)
+    head = records[0]
+    if output != "Facing":  # from behind it is another
+        assert head["shader"] == Shader.BY_RAY
+        head = records[head["parts"][0]]
+    assert (head["shader"], head["alpha_channel"], lines) == (Shader.MIX, BY_ANGLE, [])
+    x = (np.arange(ANGLES) + 0.5) / ANGLES
+    g = np.sqrt((1.5 if kind == "Fresnel" else 1 / 0.7) ** 2 - 1 + x * x)
+    r = (g - x) / (g + x)
+    known = 1 - x**0.6 if output == "Facing" else r**2 / 2 * (1 + ((x * (g + x) - 1) / (x * (g - x) + 1)) ** 2)
+    np.testing.assert_allclose(
+        pixels_of(textures, head["alpha_texture"])[0, :, 0], known * (0.5 if more else 1.0), rtol=1e-4, atol=1e-6
+    )
+    t.tree.links.new(t.new("ShaderNodeBump").outputs[0], source.inputs["Normal"])
+    (head, *_), _, lines = t.parts(mix)
+    assert (head["alpha"], head["alpha_texture"], len(lines)) == (0.5, -1, 1)
+
+
+def test_of_a_mix_that_is_not_known_what_both_send_on_is_sure() -> None:
+    """Where one of them may show nothing but what it reflects, nothing."""
+    t = Tree()
+    doubt = t.new("ShaderNodeParticleInfo").outputs["Age"]
+    pixels = random_pixels()
+    pixels[:8, :, :3] = 0.5
+    texture = t.new("ShaderNodeTexImage")
+    texture.image = image(pixels, data=True)
+    nodes = {
+        "light": t.new("ShaderNodeBsdfDiffuse", {0: (0.8, 0.8, 0.8, 1)}),
+        "dark": t.new("ShaderNodeBsdfPrincipled", {0: (0.2, 0.2, 0.2, 1)}),
+        "image": t.new("ShaderNodeBsdfDiffuse", {0: texture.outputs[0]}),
+        "glossy": t.new("ShaderNodeBsdfAnisotropic", {0: (0.8, 0.8, 0.8, 1)}),
+        "metal": t.new("ShaderNodeBsdfPrincipled", {0: (0.8, 0.8, 0.8, 1), "Metallic": 1.0}),
+    }
+
+    def sure(first: str, second: str) -> list[float]:
+        inputs = {0: doubt, 1: nodes[first].outputs[0], 2: nodes[second].outputs[0]}
+        parts = t.parts(t.new("ShaderNodeMixShader", inputs))[0][1:]
+        return [0.0 if part["unsure"] & Unsure.LIGHT else float(part["sure"]) for part in parts]
+
+    np.testing.assert_allclose(sure("light", "dark"), (0.25, 1.0), rtol=1e-4)
+    np.testing.assert_allclose(sure("dark", "dark"), (1.0, 1.0), rtol=1e-4)
+    bright = np.quantile(pixels[..., :3] @ LUMINANCE, DARK)
+    np.testing.assert_allclose(sure("light", "image")[0], bright / 0.8, rtol=1e-3)
+    assert sure("light", "glossy") == sure("metal", "dark") == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("owner", ["object", "data", "instance", "none"])
+def test_emission_by_what_objects_have_of_their_own(owner: str) -> None:
+    """A property or an attribute of instances, of thousands: as much; where nothing has it, nobody knows."""
+    t = Tree()
+    source = t.new("ShaderNodeAttribute", attribute_type="INSTANCER", attribute_name="power")
+    ob = add("cube", cube())
+    if owner in {"object", "data"}:
+        (ob if owner == "object" else ob.data)["power"] = 2500.0
+    owners = attributes.Owners(list(bpy.data.objects), {"power": (0.0, 2500.0)} if owner == "instance" else {})
+    with attributes.owned_by(owners):
+        record, _, _ = t.record(t.new("ShaderNodeEmission", {"Strength": source.outputs[2]}))
+    assert (record["emission"][0], record["unsure_emission"]) == (100.0 if owner == "none" else 2500.0, 1)
+
+
+def test_colours_of_objects_may_be_bright() -> None:
+    """An object's colour has no upper end."""
+    t = Tree()
+    for k, color in enumerate(((40, 20, 10, 1), (0, 0, 0, 1))):
+        ob = add(f"{k}", cube(f"{k}"))
+        ob.color = color
+        ob.data.materials.append(t.material)
+    info = t.new("ShaderNodeObjectInfo").outputs["Color"]
+    record, _, _ = t.record(t.new("ShaderNodeEmission", {"Color": info}))
+    assert (record["emission"].max(), record["unsure_emission"]) == (40.0, 1)
 
 
 @pytest.mark.parametrize("kind", ["Principled", "Glossy", "Metallic", "Glass"])
