@@ -51,7 +51,7 @@ RAYS, PATHS, LOOKS, COINCIDENT = range(4)
 STATS = 4
 # of a thread's own stats: coarse tile of the pixel, how many instances the path has met, address of its record
 W_TILE, W_VERTICES, W_RECORD = 4, 5, 6
-MAX_VERTICES = 64  # met by one path and weighed; what is met after them goes with the last
+MAX_VERTICES = 64  # met by one path and weighed; what is met after them gets nothing, and only certificates see it
 
 
 class Scenery(NamedTuple):
