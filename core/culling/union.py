@@ -8,6 +8,7 @@ each frame of the shot, by as few paths as say so surely.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -85,6 +86,12 @@ class Check:
     result: CullingResult
 
 
+def doubt_of(earlier: int) -> float:
+    """What a check has of a certificate's doubt that comes after so many others: together no more than all of it,
+    however many there are, for the reciprocals of the squares sum to pi^2 / 6."""
+    return (1 - CONFIDENCE) * 6 / (math.pi * (earlier + 1)) ** 2
+
+
 def check(
     loop: Loop,
     keep: NDArray[np.bool_],
@@ -105,7 +112,7 @@ def check(
     """
     _begin(loop, keep | met, faces)
     stays = (np.append(keep, np.tile([True, False], len(faces))) & loop.activation.exists) | loop.activation.pinned
-    confidence = 1 - (1 - CONFIDENCE) / 2 ** (earlier + 1)
+    confidence = 1 - doubt_of(earlier)
     samples = np.full(TILES, max(-(-loop.first_samples // FEWER), LEAST_PATHS))
     judge = Certificate(loop, CHECKS_FROM + earlier * CHECK_SAMPLES, samples, loop.options.max_error, confidence)
     whole = not levels and bool((stays == loop.activation.exists).all())

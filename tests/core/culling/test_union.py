@@ -10,7 +10,7 @@ import pytest
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
-from lipac.core.culling.union import Check, check, decide_closer, propose
+from lipac.core.culling.union import Check, check, decide_closer, doubt_of, propose
 from lipac.core.error_budget.budget import Budget
 from lipac.core.evaluation.judge import Judge
 
@@ -77,6 +77,13 @@ def test_each_check_of_a_frame_has_other_paths_and_less_doubt() -> None:
     bounds = [found.result.stats["certified_worst"] for found in (first, again, other)]
     assert bounds[0] == bounds[1] != bounds[2]
     assert first.result.stats["certificate_paths"] == again.result.stats["certificate_paths"]
+
+
+def test_checks_of_a_frame_share_the_doubt_of_one() -> None:
+    """Also of very many, none of which is left without any that a float knows."""
+    doubts = [doubt_of(earlier) for earlier in range(10_000)]
+    assert 0.9999 * 0.05 < sum(doubts) <= 0.05
+    assert 1 - doubts[-1] < 1
 
 
 def test_closer_than_the_budget() -> None:
