@@ -203,11 +203,12 @@ def part_of(table, mesh, material, triangle, b1, b2, frame, view, u):
             share = load_f32(material + _ALPHA, 0)
             texture = load_i32(material + _ALPHA_TEXTURE, 0)
             channel = load_u8(material + _ALPHA_CHANNEL, 0)
-            if texture >= 0 and channel == _BY_ANGLE:
-                u0 = _cosine(frame)
-                share *= lookup(table[T_TEXTURES], table[T_BYTES], table[T_FLOATS], texture, u0, _HALF)[0]
-            elif texture >= 0 and table[T_TEXTURES] != np.uint64(0):
-                share *= sample_channel(table, mesh, texture, channel, triangle, b1, b2)
+            if texture >= 0 and table[T_TEXTURES] != np.uint64(0):
+                if channel == _BY_ANGLE:
+                    u0 = _cosine(frame)
+                    share *= lookup(table[T_TEXTURES], table[T_BYTES], table[T_FLOATS], texture, u0, _HALF)[0]
+                else:
+                    share *= sample_channel(table, mesh, texture, channel, triangle, b1, b2)
             share = min(max(share, _ZERO), _ONE)
             second = np.int64(u < share)
             u = u / share if u < share else (u - share) / (_ONE - share)  # u is below 1

@@ -50,9 +50,10 @@ def most_of(socket: Any) -> float:
     if np.isfinite(high):
         return high
     token = _ASSUMED.set(True)
-    _, high = range_of(socket)
-    _ASSUMED.reset(token)
-    return high
+    try:
+        return range_of(socket)[1]
+    finally:
+        _ASSUMED.reset(token)
 
 
 def total(a: Interval, b: Interval) -> Interval:
