@@ -65,7 +65,7 @@ $(VENV)/.installed-test: requirements-test.txt $(VENV)/.installed
 
 # An environment of its own for another Blender: the lock, but for bpy.
 blender: .venv-$(BLENDER)/.another-blender
-	.venv-$(BLENDER)/bin/python -m pytest --durations=10 -m "blender and not slow or smoke"
+	.venv-$(BLENDER)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=10 -m "blender and not slow or smoke"
 .venv-%/.another-blender: requirements-test.txt pyproject.toml
 	$(MAKE) .venv-$*/.installed-test VENV=.venv-$* PYTHON=$$(sh scripts/find_python.sh $(if $(filter 5.0,$*),3.11,3.13))
 	.venv-$*/bin/python -m pip install -q --disable-pip-version-check --no-deps 'bpy==$*.*'

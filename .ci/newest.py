@@ -54,7 +54,7 @@ def tests(*options: str) -> tuple[int, str]:
         "pytest",
         "-q",
         "-m",
-        "not slow",
+        "not slow and not blender",  # what touches Blender is tested on the newest by `make blender`
         "-o",
         f"cache_dir={VENV}/pytest",
         *options,

@@ -1,9 +1,11 @@
 """The path tracer's pictures are Cycles' pictures, within the noise of both.
 
-Each renders several seeds; every coarse tile of their means is compared by Welch's t-test. The significance level is 1
-% for the whole picture (Sidak's correction over tiles and channels), so a right renderer fails one run in a hundred per
-scene at most with other seeds; with these it passes for good. Clamping and Filter Glossy are off: they depend on how a
-renderer samples, not on what it computes.
+Each renders several seeds; every coarse tile of their means is compared by Welch's t-test, at a significance of 1 % for
+the whole picture (Sidak's correction over tiles and channels). Eight means of few samples are not normal, and there are
+dozens of pictures on several Blenders, each with random numbers of its own: so what differs there is rendered once more
+with other seeds and four times the samples, and fails if it differs again. A right renderer fails one scene in ten
+thousand, a wrong one both times. Clamping and Filter Glossy are off: they depend on how a renderer samples, not on what
+it computes.
 """
 
 from __future__ import annotations
@@ -39,27 +41,32 @@ def tiles(picture):
 
 
 def check(folder: Any, samples: int = 8, size: tuple[int, int] = (80, 45)) -> Any:
-    """Render the open scene both ways, and compare."""
+    """Render the open scene both ways, and compare; twice where it differs."""
     scene = bpy.context.scene
     render, cycles = scene.render, scene.cycles
     render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 100
     cycles.use_adaptive_sampling = cycles.use_denoising = False
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.blur_glossy = 0.0
-    theirs = []
-    for seed in range(SEEDS):
-        render_blender("cycles", folder / f"{seed}", samples=samples, seed=seed + 1)
-        theirs.append(tiles(read_picture(folder / f"{seed}.exr")))
     core = extract_frame(scene).scene
     blas = BlasCache(core.meshes)
     prepared = prepare(core, blas)
     blas.need(core.instances.mesh)
     tlas = Tlas(core.instances, blas, np.ones(len(core.instances), bool))
-    ours = [tiles(trace(prepared, tlas, samples, seed=seed).mean) for seed in range(SEEDS)]
-    compare(np.array(theirs), np.array(ours))
+
+    def both(seeds, samples):
+        theirs = []
+        for seed in seeds:
+            render_blender("cycles", folder / f"{seed}", samples=samples, seed=seed + 1)
+            theirs.append(tiles(read_picture(folder / f"{seed}.exr")))
+        return np.array(theirs), np.array([tiles(trace(prepared, tlas, samples, seed=seed).mean) for seed in seeds])
+
+    if difference(*both(range(SEEDS), samples)):
+        again = difference(*both(range(SEEDS, 2 * SEEDS), 4 * samples))
+        assert not again, again
 
 
-def compare(theirs, ours):
-    """Welch's t-test per tile and channel, (SEEDS, ROWS, COLUMNS, 4) each."""
+def difference(theirs, ours):
+    """What Welch's t-test per tile and channel finds, (SEEDS, ROWS, COLUMNS, 4) each: empty where nothing."""
     variance = theirs.var(0, ddof=1), ours.var(0, ddof=1)
     # A tile without noise still has rounding: float32 sums.
     error2 = (variance[0] + variance[1]) / SEEDS + (2e-6 * (1 + theirs.mean(0))) ** 2
@@ -68,12 +75,14 @@ def compare(theirs, ours):
     p = 2 * stats.t.sf(np.abs(t), np.maximum(freedom, SEEDS - 1))
     limit = level(p.size, 0.01)
     worst = np.unravel_index(p.argmin(), p.shape)
-    assert p.min() > limit, (
-        f"tile {worst}: {ours.mean(0)[worst]:.5f} instead of {theirs.mean(0)[worst]:.5f}; {(p < limit).sum()} of "
-        f"{p.size} differ"
-    )
+    if p.min() <= limit:
+        return (
+            f"tile {worst}: {ours.mean(0)[worst]:.5f} instead of {theirs.mean(0)[worst]:.5f}; {(p < limit).sum()} of "
+            f"{p.size} differ"
+        )
     # Tiles err to either side: their mean does not drift.
-    assert abs(t[error2 > 1e-10].mean()) < 1.5
+    drift = abs(t[error2 > 1e-10].mean())
+    return f"the tiles' mean is {drift:.2f} standard errors off" if drift >= 1.5 else ""
 
 
 def shader(kind, **inputs):
