@@ -1,7 +1,7 @@
 """What Cycles' own memory is in full and culled, by Cycles' count, with the change of the picture that is certified and
 that which is measured in all parts of it.
 
-    python -m lipac.scripts.studies.memory.culled -o DIR
+    python -m lipac.scripts.studies.memory.culled -o DIR [--device cuda]
 
 DIR/culled.json keeps what is measured, so that a call that is stopped is followed by another that goes on.
 """
@@ -22,7 +22,7 @@ from .within import Row, mb, scene_file
 
 FILES = ("candela_city", "indoor", "kitchen", "rooms1024")
 SCENES = ("terrain", "mirror-city", *FILES)
-OPTIONS = ("--resolution", "640x360", "--samples", "16", "--device", "cpu", "--quiet")
+OPTIONS = ("--resolution", "640x360", "--samples", "16", "--quiet")
 HOW = {"full": ("--cull", "none"), "culled": ("--cull", "light-paths", "--verify", "12")}
 COLUMNS = ("Cycles, full", "culled", "of full", "stays", "certified", "measured", "of that sure")
 
@@ -35,6 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser(prog="python -m lipac.scripts.studies.memory.culled", description="Cycles' memory, culled.")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     parser.add_argument("--scenes", type=lambda text: text.split(","), default=SCENES, metavar="NAME,...")
+    parser.add_argument("--device", default="cpu", metavar="NAME", help="of `lipac render`; a folder is of one device")
     args = parser.parse_args(argv)
     folder = output_folder(args.output)
     file = folder / "culled.json"
@@ -48,14 +49,14 @@ def main(argv: Sequence[str] | None = None) -> int:
             row = data.setdefault(name, {})
             if kind not in row:
                 print(f"rendering {name}, {kind}", file=sys.stderr, flush=True)
-                row[kind] = rendered(scene, folder / f"{name}-{kind}", kind)
+                row[kind] = rendered(scene, folder / f"{name}-{kind}", kind, args.device)
                 with replacing(file) as part:
                     part.write_text(json.dumps(data, indent=1) + "\n")
     print(stamp("python -m lipac.scripts.studies.memory.culled"), table(data), sep="\n\n")
     return 0
 
 
-def rendered(scene: Path, folder: Path, kind: str) -> Row:
+def rendered(scene: Path, folder: Path, kind: str, device: str) -> Row:
     """What the report says of a render in a process of its own."""
     command = [
         sys.executable,
@@ -67,6 +68,8 @@ def rendered(scene: Path, folder: Path, kind: str) -> Row:
         str(folder),
         *HOW[kind],
         *OPTIONS,
+        "--device",
+        device,
     ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:

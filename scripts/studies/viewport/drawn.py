@@ -61,4 +61,5 @@ class Viewport:
 
         with self.target.bind():
             buffer = gpu.state.active_framebuffer_get().read_color(0, 0, width, height, 4, 0, "FLOAT")
-        return np.array(buffer.to_list(), np.float32)[:, :, :3]
+        buffer.dimensions = width * height * 4  # Blender 5.0 hands out more dimensions in a wrong order
+        return np.array(buffer, np.float32).reshape(height, width, 4)[:, :, :3]
