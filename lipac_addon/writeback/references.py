@@ -45,9 +45,7 @@ class References:
         ]
         self._picked = {ob for c in particle_collections for ob in c.all_objects}
         self._alone_in_nodes = self._objects_of_nodes()
-        self._caches = _closure(
-            [ob for ob in bpy.data.objects if is_unbaked(ob)], lambda ob: () if ob.parent is None else (ob.parent,)
-        )
+        self._caches = _read_by_simulations()
         self._drivers = _read_by_drivers()
         self._elsewhere = _shown_in(others, users)
         self._particle_sources = {
@@ -101,8 +99,8 @@ class References:
         return ob in self._particle_sources
 
     def holds_cache(self, ob: bpy.types.Object) -> bool:
-        """Whether any change to the object, of which Blender is told, empties an unbaked cache: its own, or that of a
-        child at any depth."""
+        """Whether any change to the object, of which Blender is told, may empty an unbaked cache: its own, or that of
+        what is its child, instances it or names it otherwise, at any depth."""
         return ob in self._caches
 
     def drives(self, ob: bpy.types.Object) -> bool:
@@ -301,6 +299,16 @@ def _used_by(users: dict[bpy.types.ID, set[bpy.types.ID]]) -> dict[bpy.types.ID,
         for y in by:
             used.setdefault(y, []).append(x)
     return used
+
+
+def _read_by_simulations() -> set[bpy.types.ID]:
+    """Objects with unbaked simulations, and all that these name, at any depth: when that changes, Blender may begin the
+    simulation anew, with the next render for instance."""
+    unbaked = [ob for ob in bpy.data.objects if is_unbaked(ob)]
+    if not unbaked:
+        return set()
+    used = _used_by(bpy.data.user_map(key_types=_KINDS, value_types=_KINDS))
+    return _closure(unbaked, lambda x: used.get(x, ()))
 
 
 def _read_by_drivers() -> set[bpy.types.ID]:

@@ -77,6 +77,41 @@ def test_the_parent_of_an_unbaked_simulation_is_left_alone(kind, new_file, censu
     assert cache.info == info
 
 
+def follow(ob, source):
+    ob.constraints.new("COPY_ROTATION").target = source
+
+
+def turn_by_driver(ob, source):
+    driver = ob.driver_add("rotation_euler", 0).driver
+    variable = driver.variables.new()
+    variable.type = "TRANSFORMS"
+    variable.targets[0].id, driver.expression = source, "var"
+
+
+def instance_a_child(_ob, source):
+    source.parent = link(triangle("other"), at=(0, 3, 0))
+
+
+@pytest.mark.parametrize("how", [None, follow, turn_by_driver, instance_a_child])
+def test_what_an_unbaked_simulation_reads_is_left_alone(how, new_file, census_keys, shown):
+    """Blender begins it anew at the next render after that has changed."""
+    ob, _cache = emitter()
+    source = bpy.data.objects["source"]
+    if how in (follow, turn_by_driver):
+        ob.particle_systems[0].settings.instance_object = link(triangle("instanced"), at=(0, 5, 0))
+    if how is not None:
+        how(ob, source)
+    played()
+    keys, _places = census_keys()
+    before = shown()
+    name = keys.names.index("other" if how is instance_a_child else "source")
+    culled = (keys.records["object"] == name) & (keys.records["host"] < 0)
+    assert apply(culled, keys).kept == {UNBAKED: 1}
+    shown()
+    restore()
+    assert shown() == before
+
+
 def test_a_simulation_zone_is_left_alone(new_file, census_keys):
     host = link(points("host", 8, faces=True))
     scatter(host, link(triangle("source"), at=(0, 9, 0)))
