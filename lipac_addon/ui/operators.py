@@ -9,7 +9,6 @@ import bpy
 from bpy.props import EnumProperty
 
 from .. import roles
-from ..writeback.marks import culled_libraries
 from .jobs import analysis, engine, job, live
 from .jobs.analysis import AnalysisJob
 from .jobs.difference import DifferenceJob
@@ -161,16 +160,12 @@ class LIPAC_OT_restore(Explained, bpy.types.Operator):
         return _occupied()
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        linked = culled_libraries()
         if not applying.restore():
             self.report({"INFO"}, "Nothing was hidden by LiPaC")
             return {"CANCELLED"}
         self.report({"INFO"}, "Everything is shown in renders again")
-        if linked:
-            self.report(
-                {"WARNING"},
-                f"Until this file is opened again: {', '.join(linked)} was saved with culling applied; Restore there",
-            )
+        if applying.comes_back():
+            self.report({"WARNING"}, applying.comes_back())
         return {"FINISHED"}
 
 

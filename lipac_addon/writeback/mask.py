@@ -76,10 +76,14 @@ def remove_all() -> bool:
             if modifier.node_group is not None and modifier.node_group.library and _looks_ours(modifier.node_group):
                 modifier.show_render = False
                 ob.update_tag()
-    blocks = [*groups, *(b for kind in (bpy.data.objects, bpy.data.meshes) for b in kind if is_ours(b))]
+    blocks = [*groups, *(ob for ob in bpy.data.objects if is_ours(ob))]
     if blocks:
         bpy.data.batch_remove(blocks)
-    return bool(blocks)
+    # with those whose object somebody has removed; not what an object of the user's shows
+    meshes = [mesh for mesh in bpy.data.meshes if is_ours(mesh) and not mesh.users]
+    if meshes:
+        bpy.data.batch_remove(meshes)
+    return bool(blocks or meshes)
 
 
 def _is_emptied(modifier: bpy.types.Modifier) -> bool:

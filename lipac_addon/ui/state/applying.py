@@ -11,7 +11,7 @@ import numpy as np
 
 from ... import roles, writeback
 from ...keys import Kind
-from ...writeback.marks import COARSER, EMPTIED, HIDDEN, MASKED, PARTICLES, SIMPLIFIED, all_marks
+from ...writeback.marks import COARSER, EMPTIED, HIDDEN, MASKED, PARTICLES, SIMPLIFIED, all_marks, culled_libraries
 from ...writeback.references import scenes_in_picture
 from . import results, scatters, session
 from .results import FrameResult
@@ -27,6 +27,7 @@ _COUNTED = (  # words of marks, and what to say of so many
     (COARSER, "levels of subdivision"),
 )
 notes: tuple[str, ...] = ()  # of the last `apply`: which culled instances stay, and why
+_culled_libraries: list[str] = []  # what is linked from these is hidden again when the file is opened again
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,7 @@ def forget() -> None:
     """Another file is open."""
     global notes, _held
     notes, _held = (), None
+    _culled_libraries.clear()
     _done.clear()
     recount()
 
@@ -93,6 +95,8 @@ def restore(in_render: bool = False) -> bool:
     """Show again all that was hidden, by whichever scene; True where there was something. in_render: a handler of a
     render calls."""
     recount()
+    if bpy.data.libraries and not any(scene.lipac.in_render for scene in bpy.data.scenes):  # else the marks are ours
+        _culled_libraries.extend(name for name in culled_libraries() if name not in _culled_libraries)
     found = writeback.restore(in_render)
     for scene in bpy.data.scenes:
         for name in ("applied", "in_render"):
@@ -177,8 +181,19 @@ def recount() -> None:
     _marked = None
 
 
+def comes_back() -> str:
+    """A sentence on what is shown again only as long as the file is open; "" where nothing is."""
+    names = ", ".join(_culled_libraries)
+    return names and f"Until this file is opened again: {names} was saved with culling applied; Restore there"
+
+
 def status(scene: bpy.types.Scene) -> tuple[str, bool]:
-    """What renders of a scene show, in a sentence or two, and whether that wants a look."""
+    """What renders of a scene show, in a sentence or more, and whether that wants a look."""
+    line, alert = _status(scene)
+    return (f"{line}. {comes_back()}", True) if comes_back() and not marks() else (line, alert)
+
+
+def _status(scene: bpy.types.Scene) -> tuple[str, bool]:
     owner, frame = applied_scene(), scene.frame_current
     own = scene.lipac.use_for_renders
     if not marks():

@@ -266,6 +266,34 @@ def test_what_was_hidden_and_is_not_any_more_is_said(analyzed, boxes_file, hidde
     assert again.heard[-1] == "the analysis was cancelled"
 
 
+@pytest.mark.parametrize("operator", ["restore", "analyze"])
+def test_what_comes_back_from_a_library_is_said(operator, analyzed, hidden, tmp_path):
+    """Blender saves nothing that is set on linked objects."""
+    bpy.ops.lipac.apply()
+    library, host = str(tmp_path / "library.blend"), str(tmp_path / "host.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=library)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(library, link=True) as (found, wanted):
+        wanted.objects = found.objects
+    scene = bpy.context.scene
+    for ob in wanted.objects:
+        scene.collection.objects.link(ob)
+    scene.camera = next(ob for ob in scene.objects if ob.type == "CAMERA")
+    bpy.ops.wm.save_as_mainfile(filepath=host)
+    bpy.ops.wm.open_mainfile(filepath=host)
+    scene = bpy.context.scene
+    scene.lipac.policy, scene.lipac.distance = "distance", 1000.0
+    assert getattr(bpy.ops.lipac, operator)() == {"FINISHED"}
+    assert hidden() == set()
+    line, alert = applying.status(scene)
+    assert alert
+    assert "Until this file is opened again" in line
+    assert "library.blend" in line
+    bpy.ops.wm.open_mainfile(filepath=host)
+    assert hidden() == FAR
+    assert "Until" not in applying.status(bpy.context.scene)[0]
+
+
 @pytest.mark.parametrize("wreck", [ImportError("numba"), OSError("libembree4.so")])
 def test_a_broken_library_is_one_line(scene, monkeypatch, wreck):
     def broken():

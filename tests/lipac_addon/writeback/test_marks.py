@@ -158,9 +158,11 @@ def test_marks_that_others_wrote(word, build, census_keys, snapshot):
     hidden.hide_render = True
     subdivision = host.modifiers.new("subdivision", "SUBSURF")
     subdivision.show_render = False
+    cloud = link(points("cloud", 3), at=(0, 9, 0))  # its mesh is as a mask's
+    cloud.data.attributes.new("culled", "BOOLEAN", "POINT")
     kept = bpy.data.objects.new("kept", None)
     kept.use_fake_user = host.modifiers["scatter"].node_group.use_fake_user = True
-    blocks = (host, source, kept, hidden, *bpy.data.meshes, host.modifiers["scatter"].node_group)
+    blocks = (host, source, cloud, kept, hidden, *bpy.data.meshes, host.modifiers["scatter"].node_group)
     census_keys()
     before = snapshot()
     for block in blocks:
