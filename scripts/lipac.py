@@ -58,6 +58,9 @@ def usage() -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line, the program's own by default; returns the exit status."""
+    if argv is None and sys.getfilesystemencoding() != "utf-8":
+        # names of files would be of that encoding, and Blender takes them for UTF-8: Python begins anew
+        os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
     streams.repair()
     try:
         return _run(argv)

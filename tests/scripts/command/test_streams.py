@@ -1,5 +1,5 @@
-"""Standard streams without a reader, full or closed, a home that cannot be written, and Ctrl-C that is to be ignored:
-the work is done all the same."""
+"""Standard streams without a reader, full or closed, a home that cannot be written, a locale without UTF-8, and Ctrl-C
+that is to be ignored: the work is done all the same."""
 
 from __future__ import annotations
 
@@ -65,6 +65,21 @@ def test_a_machine_without_a_writable_home(blend: Path, tmp_path: Path) -> None:
     _, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (0, "")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "out"]  # the temporary folder is gone
+
+
+def test_names_of_files_in_a_locale_without_utf_8(blend: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "Bäume ☃.blend"
+    scene.write_bytes(blend.read_bytes())
+    process = start(
+        ["render", scene, "-o", tmp_path / "Ördner", *FRUSTUM, "--quiet"],
+        env=os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+    )
+    _, err = process.communicate(timeout=300)
+    assert (process.returncode, err) == (0, "")
+    assert "Bäume ☃.blend" in (tmp_path / "Ördner" / "report.html").read_text(encoding="utf-8")
 
 
 def test_ctrl_c_that_is_ignored_stays_ignored(blend: Path, tmp_path: Path) -> None:
