@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import stat
 import struct
 from collections.abc import Callable
@@ -146,6 +147,9 @@ def _reason(text: str, path: Path) -> str:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     last = next((line for line in lines if line.startswith("Error:")), lines[-1] if lines else "it is damaged")
     last = last.removeprefix("Error:").strip().replace(str(path.resolve()), path.name)
+    if last.startswith("Python: Traceback"):  # of an importer, which Blender may cut short before the error itself
+        errors = [line for line in lines if re.match(r"[\w.]+(Error|Exception)\b", line)]
+        last = errors[-1] if errors else "its importer fails"
     return f"{last.rstrip('.')}; save or export it again"
 
 

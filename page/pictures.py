@@ -96,8 +96,7 @@ def changes_of(full: Path, culled: Path) -> F32 | None:
 
 
 def _linear(path: Path) -> F32 | None:
-    """The colours of a picture in OpenEXR, (H, W, 3), rows bottom up; None where there is none, or none that can be
-    read."""
+    """A picture in OpenEXR, (H, W, 3 or 4), rows bottom up; None where there is none, or none that can be read."""
     import OpenEXR
 
     if not path.is_file():
@@ -108,7 +107,7 @@ def _linear(path: Path) -> F32 | None:
             pixels = next((channels[name].pixels for name in ("RGB", "RGBA") if name in channels), None)
     except (OSError, RuntimeError, ValueError):
         return None
-    return None if pixels is None else np.asarray(pixels[::-1, :, :3], np.float32)
+    return None if pixels is None else np.asarray(pixels[::-1], np.float32)
 
 
 def tiles(changes: F32 | None, bound: float) -> list[Tile]:

@@ -151,16 +151,17 @@ class FrameTracer:
             return picture.mean
 
     def trace_paths(
-        self, keep: np.ndarray, first_sample: int, only: U8, progress: Progress = silent
+        self, keep: np.ndarray, first_sample: int, only: U8, progress: Progress = silent, backdrop: float = 0.0
     ) -> tuple[F32, F32]:
         """Trace again, with only keep (N,) bool in the scene, the paths that only, (H, W, S) uint8, marks of a trace
         that began at first_sample.
 
-        Returns their part of the mean picture, (H, W, 4) float32, and the light of each, (H, W, S, 3) float32.
+        Returns their part of the mean picture, (H, W, 4) float32, and the light of each, (H, W, S, 3) float32, less a
+        backdrop as of `PathLog`.
         """
         tlas = self.build(keep)
         with self.timer.step("trace_s"):
-            log = PathLog(np.zeros((0, RECORD), np.int32), np.zeros((*only.shape, 3), np.float32))
+            log = PathLog(np.zeros((0, RECORD), np.int32), np.zeros((*only.shape, 3), np.float32), backdrop)
             picture = self._trace(
                 self.with_only_emitters(keep), tlas, only.shape[2], first_sample, None, progress, self.size, log, only
             )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F32, F64, I32
-from ..culling.loop import Loop
+from ..culling.loop import Loop, brightness
 from ..culling.options import CullOptions
 from ..error_budget.budget import Budget
 from ..error_budget.error_estimate import Difference, ErrorEstimate, Light, Reference
@@ -35,8 +35,9 @@ SURE = 3.0  # deviations by which a bound is exceeded where it surely is
 
 
 def picture_change(full: F32, other: F32) -> tuple[float, float]:
-    """Relative change between two pictures, (H, W, 3 or 4) float32, by luminance and colour as the budget counts it:
-    mean over the coarse tiles and of the worst one. The noise of tiles is included, that of single blocks is not."""
+    """Relative change between two pictures, (H, W, 3 or 4) float32, by luminance, colour and alpha as the budget counts
+    it: mean over the coarse tiles and of the worst one. The noise of tiles is included, that of single blocks is not.
+    """
     size = tile_changes(full, other)
     return float(size.mean()), float(size.max())
 
@@ -83,12 +84,15 @@ class Judge:
             self.mesh_seconds[mesh] = time.perf_counter() - start
         self.tlas = self.loop.tracer.build(self.loop.activation.exists)
         self.passes: list[Pass] = []
+        self._backdrop = 0.0
+        if scene.film.transparent:
+            self._backdrop = brightness(self.loop.tracer.trace(self.tlas, 1)[1], scene.film)[2]
         self.full = self._trace(part(progress, 0.0, 0.5, "full picture, "))
         self.second_seed = self._trace(part(progress, 0.5, 1.0, "with another seed, "))
 
     def _trace(self, progress: Progress = silent) -> F32:
         """One more pass; its picture, (H, W, 4)."""
-        log = PathLog.zeros(self.loop.size[1], self.loop.size[0], self.samples)
+        log = PathLog.zeros(self.loop.size[1], self.loop.size[0], self.samples, backdrop=self._backdrop)
         first = self.loop.tracer.next_sample
         picture = self.loop.tracer.trace(self.tlas, self.samples, progress=progress, log=log)[1]
         self.passes.append(Pass(first, log, Reference(log)))
@@ -104,7 +108,7 @@ class Judge:
             self._trace()
         one = self.passes[k]
         only = self._affected(keep, one.log)
-        _, color = self.loop.tracer.trace_paths(keep, one.first_sample, only)
+        _, color = self.loop.tracer.trace_paths(keep, one.first_sample, only, backdrop=self._backdrop)
         return one.reference.compare(only, color, one.log, one.reference.nothing)
 
     def _estimate(self, difference: Difference, passes: int) -> ErrorEstimate:

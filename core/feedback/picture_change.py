@@ -1,7 +1,8 @@
 """The change between two pictures as the budget counts it, tile by tile, and what of it noise may have made.
 
 Of a tile the larger of the relative changes of its mean luminance, of its mean colour, and of its colour block by block
-(the mean over blocks; docs/error.md). A block of few samples is noisy, and the absolute value of noise is no change. So
+(the mean over blocks; docs/error.md). Of transparent pictures lost or added alpha counts as light, as bright as what is
+in them in the mean. A block of few samples is noisy, and the absolute value of noise is no change. So
 noise is told by what differs between the pixels of a block, which takes detail within it for noise, too, and so errs
 towards less noise-free change; the noise of pixels is taken to be independent.
 """
@@ -68,18 +69,21 @@ class Change:
 def change_of(
     full: Sequence[F32], other: Sequence[F32], rows: int = ROWS, columns: int = COLUMNS, block: float | None = None
 ) -> Change:
-    """The change between pictures, (h, w, 3 or 4) float32 linear Rec. 709 each, and others of the same sizes.
+    """The change between pictures, (h, w, 3 or 4) float32 linear Rec. 709 each, with premultiplied alpha or opaque, and
+    others of the same sizes.
 
     rows, columns: tiles of each picture; their tiles come one picture after the other, in rows as the pixels' are.
     block: pixels of a block's side (default: those of BLOCK pixels in a picture WIDTH pixels wide). Tiles that are
     darker than DARK of the mean of all are judged against that.
     """
     parts, count = [], 0
+    backdrop = _backdrop(full)
     for k, (a, b) in enumerate(zip(full, other, strict=True)):
         side = max(block or a.shape[1] * BLOCK / WIDTH, LEAST)
         tile, number, owner = _cells(a.shape[0], a.shape[1], rows, columns, side)
-        first, second = (x[..., :3].reshape(-1, 3).astype(np.float64) for x in (a, b))
-        parts.append((first, second - first, tile + k * rows * columns, number + count, owner + k * rows * columns))
+        first, second = (_before(x, backdrop) for x in (a, b))
+        cells = tile + k * rows * columns, number + count, owner + k * rows * columns
+        parts.append((np.maximum(first, 0.0), second - first, *cells))
         count += len(owner)
     light, change, tile, number, owner = (np.concatenate(x) for x in zip(*parts, strict=True))
     return _change(light, change, tile, number, owner, rows * columns * len(full))
@@ -120,6 +124,21 @@ def _change(
         np.sqrt(by_tile(share**2 * variance)),
         by_tile(share * (square - variance)),
     )
+
+
+def _backdrop(pictures: Sequence[F32]) -> float:
+    """Mean luminance of what is in pictures, by their alpha, as of `PathLog.backdrop`; of opaque ones 0."""
+    transparent = [x for x in pictures if x.shape[2] > 3]
+    alpha = sum(float(x[..., 3].sum(dtype=np.float64)) for x in transparent)
+    if len(transparent) < len(pictures) or alpha >= sum(x[..., 3].size for x in transparent):
+        return 0.0
+    return sum(float((x[..., :3] @ LUMINANCE).sum()) for x in transparent) / max(alpha, _TINY)
+
+
+def _before(picture: F32, backdrop: float) -> F64:
+    """(P, 3) light of the pixels of a picture, less the backdrop where it is transparent."""
+    color = picture[..., :3].reshape(-1, 3).astype(np.float64)
+    return color - (1 - picture[..., 3].reshape(-1, 1).astype(np.float64)) * backdrop if backdrop else color
 
 
 def _lit(light: F64) -> F64:

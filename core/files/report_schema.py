@@ -65,7 +65,7 @@ FRAME: dict[str, tuple[dict[str, Any], str]] = {
     "confidence": ({"type": "number", "minimum": 0, "maximum": 1}, "that both bounds hold"),
     "unknown_mean": (SHARE, "light that paths carry through boxes that were not opened; part of `certified_mean`"),
     "unknown_worst": (SHARE, "the same of the worst tile"),
-    "verified_mean": (SHARE, "`--verify`: change of the tiles of rendered crops, by luminance and colour, mean"),
+    "verified_mean": (SHARE, "`--verify`: change of the tiles of rendered crops, by luminance, colour and alpha, mean"),
     "verified_worst": (SHARE, "the same of the worst tile of them"),
     "verified_least_mean": (NUMBER, "what is left of it when what noise may make is taken off"),
     "verified_least_worst": (NUMBER, "the same of the worst tile"),

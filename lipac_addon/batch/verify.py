@@ -46,8 +46,8 @@ Crop = tuple[int, int]
 
 @dataclass(frozen=True)
 class Verified:
-    """Relative change of the coarse tiles of the crops, by luminance and colour as the budget counts it: their mean,
-    and the worst of them. crops: (K,) columns and rows of GRID, rows from the bottom.
+    """Relative change of the coarse tiles of the crops, by luminance, colour and alpha as the budget counts it: their
+    mean, and the worst of them. crops: (K,) columns and rows of GRID, rows from the bottom.
 
     least_mean, least_worst: what is left of both when what noise may make is taken off, by the pixels' differences: of
     each tile the mean size of its noise, and NOISE standard errors of all tiles; of the worst tile as many standard

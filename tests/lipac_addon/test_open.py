@@ -11,6 +11,7 @@ import pytest
 from lipac.core.errors import InputError
 from lipac.lipac_addon.open import frame_everything, open_scene, use_camera
 
+CIRCLE = {"scenes": [{"nodes": [0]}], "nodes": [{"children": [0]}]}
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 
@@ -39,6 +40,7 @@ def damaged(tmp_path, boxes_file):
         "list.gltf": (b"[1, 2]", "not glTF"),
         "word.gltf": (json.dumps(document | {"extensionsRequired": "KHR"}).encode(), "not glTF"),
         "table.gltf": (json.dumps(document | {"extensionsRequired": [{}, []]}).encode(), "not glTF"),
+        "circle.gltf": (json.dumps({**CIRCLE, "asset": {"version": "2.0"}}).encode(), "RecursionError"),
         "deep.gltf": (b"[" * 100_000, "not glTF"),
         "note.txt": (b"hello", "cannot read '.txt'"),
     }
@@ -55,6 +57,7 @@ def test_what_cannot_be_used_is_said_in_one_line(tmp_path, boxes_file):
             open_scene(path)
         assert says in str(error.value), path
         assert "\n" not in str(error.value), path
+        assert "Traceback" not in str(error.value), path
 
 
 def test_blend_is_opened_as_it_is(boxes_file):

@@ -44,6 +44,18 @@ def judge() -> Judge:
     return Judge(stage(), 16)
 
 
+def test_something_black_before_a_transparent_film_counts() -> None:
+    placement = [(0, scenes.placed((x, 0, 0)), k) for k, x in enumerate((-1.5, 1.5))]
+    materials = [scenes.material(), scenes.material(base_color=(0, 0, 0))]
+    scene = scenes.build([scenes.cube()], placement, materials, size=(64, 36))
+    film = dataclasses.replace(scene.film, transparent=True)
+    judge = Judge(dataclasses.replace(scene, film=film), 16)
+    change = judge.change(np.array([True, False]))
+    alpha = judge.full[..., 3] - judge.picture(np.array([True, False]))[..., 3]
+    assert 0 < alpha.mean() < change.mean
+    assert change.worst > 1.0
+
+
 def without(*culled: int) -> np.ndarray:
     keep = np.ones(4, bool)
     keep[list(culled)] = False

@@ -95,3 +95,26 @@ def test_pictures_of_few_pixels_are_unsure_of_their_blocks() -> None:
     other[..., rng.integers(3)] *= 1.01
     assert change_of([full], [other]).detail.max() > 0
     assert change_of([full], [other]).block_noise.min() >= change_of([full], [other]).detail.max()
+
+
+def test_alpha_counts_as_light_of_the_mean_of_what_is_there() -> None:
+    """Of a transparent picture half is grey; in the first tile something black stands, and vanishes."""
+    full = np.zeros((*SIZE, 4), np.float32)
+    full[SIZE[0] // 3 :] = 1.0
+    full[: SIZE[0] // ROWS, : SIZE[1] // COLUMNS, 3] = 1.0
+    other = full.copy()
+    other[: SIZE[0] // ROWS, : SIZE[1] // COLUMNS, 3] = 0.0
+    backdrop = full[..., 0].mean() / full[..., 3].mean()  # of the tile's light nothing is left to be judged against
+    expected = np.zeros(TILES)
+    expected[0] = backdrop / (0.01 * full[..., 0].mean())
+    np.testing.assert_allclose(tile_changes(full, other), expected, rtol=1e-5)
+    assert tile_changes(full[..., :3], other[..., :3]).max() == 0.0
+    appears = tile_changes(full, np.ones_like(full)).reshape(ROWS, COLUMNS)
+    assert appears[: ROWS // 3].min() > 1.0
+    assert appears[ROWS // 3 :].max() == 0.0
+
+
+def test_alpha_that_is_one_changes_nothing() -> None:
+    full, other = (np.random.default_rng(seed).random((*SIZE, 4)).astype(np.float32) for seed in range(2))
+    full[..., 3] = other[..., 3] = 1.0
+    np.testing.assert_array_equal(tile_changes(full, other), tile_changes(full[..., :3], other[..., :3]))

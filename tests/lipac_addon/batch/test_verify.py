@@ -186,6 +186,30 @@ def test_a_broken_budget_warns_or_is_enforced(
         assert frame["verified_least_worst"] > 0.05
 
 
+@pytest.mark.parametrize("engine", ["cycles", "path"])
+def test_something_black_before_a_transparent_film_counts(boxes: Any, tmp_path: Path, engine: str) -> None:
+    """It is all that is culled: its colours are those of nothing."""
+    for name in ("Plane", "wall"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    black = bpy.data.materials.new("black")
+    tree = black.node_tree
+    tree.nodes.clear()
+    shader, output = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
+    shader.inputs["Color"].default_value = (0, 0, 0, 1)
+    tree.links.new(shader.outputs[0], output.inputs[0])
+    near = bpy.data.objects["box0"]
+    near.data, near.location.x = near.data.copy(), -4
+    bpy.data.objects["box7"].data.materials.append(black)
+    boxes.render.film_transparent = True
+    report = Report("boxes", "", "", "distance", engine, 0, 1)
+    run(Job(tmp_path, (1,), CullOptions(policy="distance", setting=19.5), engine, samples=4, verify=ALL), report)
+    (frame,) = report.frames
+    full, culled = (read_picture(tmp_path / "verified" / f"frame_0001_{name}.exr") for name in ("full", "culled"))
+    np.testing.assert_allclose(full[..., :3].mean(), culled[..., :3].mean(), rtol=0.02)
+    assert (full - culled)[..., 3].max() > 0.5
+    assert frame["verified_least_worst"] > 0.05
+
+
 def test_an_enforced_budget_is_as_much_smaller_as_the_picture_is_above_it() -> None:
     job = Job(Path(), (1,), CullOptions(max_error=Budget(0.01, 0.05)), "cycles", verify=1, enforce=True)
     entry = Verified(0.02, 0.2, 0.01, 0.1, ()).entry()
