@@ -25,7 +25,7 @@ from ..error_budget.search import WORTH_WHILE, pieces
 from ..error_budget.trial import Trial
 from ..error_budget.units import Seen, Units
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import TILES, marks
+from ..feedback.tiles import DARK, TILES, marks
 from ..progress import Progress, part, silent
 from ..tracing.seen_emitters import SeenEmitters
 from .frame_tracer import FrameTracer
@@ -155,10 +155,13 @@ class Certificate:
 
     @property
     def unknown(self) -> F64:
-        """(T,) float64, what is charged for boxes that are not opened."""
+        """(T,) float64, what is charged for boxes that are not opened: light that may not be there in the full picture,
+        so that it is not what changes are relative to, either."""
         if not self._layers:
             return np.zeros(TILES)
-        return np.asarray(np.sum([layer.witness.unknown for layer in self._layers], axis=0) / self._light.luminance)
+        unknown = np.sum([layer.witness.unknown for layer in self._layers], axis=0)
+        light = self._light.luminance
+        return np.asarray(unknown / np.maximum(light - unknown, DARK * light))
 
     @property
     def _light(self) -> Light:

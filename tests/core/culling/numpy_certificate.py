@@ -51,7 +51,9 @@ class Walk:
             trials.trace(np.zeros(T))
             differences.append((trials.after.light - trials.full.light).astype(float))
         self.all = self.joined([trials.full for trials in each])
-        return self.all.change(np.concatenate(differences), sum(look.unknown for look in self.looks) / self.all.lum)
+        unknown = sum(look.unknown for look in self.looks)
+        owed = unknown / np.maximum(self.all.lum - unknown, 0.01 * self.all.lum)
+        return self.all.change(np.concatenate(differences), owed)
 
     @staticmethod
     def joined(parts: list[Paths]) -> Paths:
