@@ -131,9 +131,9 @@ class Activation:
             self.active[new], self.value[new] = True, LARGE**2
         self._shown = shown
 
-    def open_requested_boxes(self, cut: Cut, feedback: Feedback, emissive: I64) -> float:
+    def open_requested_boxes(self, cut: Cut, feedback: Feedback, emissive: I64) -> tuple[float, bool]:
         """Open the boxes that paths asked for, activate instances met before they were active. Returns how many
-        segments per path asked."""
+        segments per path asked, and whether most of what they crossed is crossed by chance (`_detection_limit`)."""
         crossings = feedback.boxes.sum(axis=1)
         enough = _detection_limit(crossings, feedback.paths)
         asked = np.flatnonzero(crossings >= enough)
@@ -148,7 +148,7 @@ class Activation:
         # emitters that lit a path are known before their boxes are crossed
         self.active[emissive[feedback.hits[emissive].sum(axis=1) >= COLD_HITS]] = True
         self._requests = (cut, crossings)
-        return float(crossings[asked].sum()) / max(feedback.paths, 1)
+        return float(crossings[asked].sum()) / max(feedback.paths, 1), enough == 1
 
     def activate_contributing_emitters(self, cut: Cut, feedback: Feedback, emissive: I64) -> None:
         """Activate every emitter that lit a path, or whose own box a path crossed: few paths may carry much of a tile's
@@ -178,16 +178,18 @@ class Activation:
         rows = rows[~self.active[rows]]
         self._opened.append(rows)
         self.active[rows] = True
-        self.regions.split_nodes(cut, asked, np.maximum(crossings[asked], FANOUT))
+        # an eighth more of all that is built again for it
+        affordable = (len(cut) + int(self.active.sum())) // FANOUT // max(len(asked), 1)
+        self.regions.split_nodes(cut, asked, np.maximum(crossings[asked], max(affordable, FANOUT)))
         return bool(len(asked) or len(rows))
 
     def release(self, measured: Measurement) -> None:
         """Cull instances that no path met, and merge regions whose parts none requested."""
         ids, met = measured.tlas.ids, measured.met
-        for opened in self._opened:  # unless a measurement has found out about them since
-            self.active[np.setdiff1d(opened[~self.kept[opened]], ids)] = False
         self.known = np.zeros(len(self.active), bool)
         self.known[ids] = True
+        for opened in self._opened:  # unless a measurement has found out about them since
+            self.active[opened[~(self.kept | self.known)[opened]]] = False
         self.value[ids] = met[ids] / max(measured.feedback.paths, 1)
         unmet = ids[(met[ids] == 0) & ~self.kept[ids]]
         self.active[self.regions.release(unmet)] = False

@@ -23,14 +23,13 @@ from ..feedback.tiles import DARK, marks
 from ..files.figures import percent
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
-from .certificate import LEVELS, MORE, STEEPEST, Certificate, Verdict
+from .certificate import LEVELS, MORE, NOTHING_SURE, STEEPEST, Certificate, Verdict, pays
 from .levels.levelled import CULLING, PROPOSALS, Levelled, has_levels, levelled
-from .loop import Loop, all_stay
+from .loop import ENTRIES_PER_PATH, Loop, all_stay, trace_witness
 from .measurement import DARKNESS, Measurement, Traced, evidence
 from .options import CullOptions
 from .policies import LIGHT_PATHS
 from .result import CullingResult
-from .witness import trace_witness
 
 # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with
 # more than that
@@ -226,10 +225,13 @@ def _judged(
             return kept_of(loop, units, cull, ids)
 
         sets = [step.cull for step in steps if loop.limited or step.cull.any()]
-        confidence = 1 - share * (1 - CONFIDENCE)
-        certificate = Certificate(loop, measured.next_sample, measured.samples, budget, confidence, more)
+        fresh = measured.next_sample, measured.samples
+        certificate = Certificate(loop, *fresh, budget, 1 - share * (1 - CONFIDENCE), more)
         verdict = certificate.walk(sets, units, keep_of, partial(gain, units, search.savings), part(within, 0.5, 0.9))
-        if attempt == attempts - 1 or not sets or verdict.cull is None or verdict.cull.any():
+        if attempt == attempts - 1 or not sets or verdict.cull is None or verdict.cull.any() or verdict.why:
+            break
+        # a measurement and a certificate of twice as many paths
+        if not (more or pays(loop, keep_of(sets[-1]), 4 * ENTRIES_PER_PATH * measured.log.luminance.size)):
             break
         measured = loop.measure(None, 2 * measured.log.shape[2], part(within, 0.9, 1.0))
     return measured, units, steps, verdict, searched, certificate
@@ -257,9 +259,7 @@ def _decided(
             f"{percent(estimate.upper_worst(verdict.confidence))} in the worst tile"
         )
     elif len(steps) > 1 and not cull.any():
-        warnings.append(
-            "of nothing it is sure that the picture may go without it, at this error budget: everything is kept"
-        )
+        warnings.append(verdict.why or NOTHING_SURE)
     chance = loop.tracer.coincident / max(loop.tracer.looks, 1)
     if chance > COINCIDENT:
         warnings.append(

@@ -11,7 +11,7 @@ nothing else is culled that is worth anything to it, and the walk goes on for th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,16 +21,16 @@ from ..accel.tlas import Tlas
 from ..arrays import F64, I64
 from ..error_budget.budget import Budget
 from ..error_budget.error_estimate import CONFIDENCE, NOTHING, Difference, ErrorEstimate, Light, Reference
-from ..error_budget.search import WORTH_WHILE, pieces
+from ..error_budget.search import LEAST_GAIN, WORTH_WHILE, pieces
 from ..error_budget.trial import Trial
 from ..error_budget.units import Seen, Units
 from ..feedback.path_log import PathLog
-from ..feedback.tiles import DARK, TILES, marks
+from ..feedback.tiles import DARK, TILES, marks, tiles_of
 from ..progress import Progress, part, silent
 from ..tracing.seen_emitters import SeenEmitters
 from .frame_tracer import FrameTracer
-from .loop import Loop
-from .witness import Staying, Witness, first_part, trace_witness
+from .loop import ENTRIES_PER_PATH, Loop, Witness, trace_witness
+from .staying import Staying, first_part
 
 LOOKS = 6  # in all, each doubles the paths of the tiles in doubt
 DENSEST = 16  # times the paths of a first look, in a tile at most
@@ -39,7 +39,11 @@ STEEPEST = 4  # times the paths per pixel of a first look that are traced at onc
 FAILURES = 12  # sets that may break the budget before the walk ends
 LEVELS = 2  # sets in steps, and pieces of a step that fails: two tests of what may be too much
 TOLERATED = 0.05  # of the budget, in the mean and in every tile: what may stay unknown
+# times that an instance is built here in the time in which a render reads it and builds it, at most
+RENDERED = 10
 NEGLIGIBLE = 0.01  # of the bound of a tile: units worth less to a full one may still go
+
+NOTHING_SURE = "of nothing it is sure that the picture may go without it, at this error budget: everything is kept"
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Verdict:
     cull: (U,) bool units, None where no set of the sequence does, nor that nothing is culled, for builds are limited;
     keep: (N,) bool instances that stay. estimate: the change by that, or by the first set.
     confidence: of each of its bounds. unknown: (T,) float64, what of it is charged for boxes that were not opened.
-    paths: how many were traced.
+    paths: how many were traced. why: no set was judged, where none was.
     """
 
     cull: np.ndarray | None
@@ -67,6 +71,7 @@ class Verdict:
     confidence: float
     unknown: F64
     paths: int
+    why: str = ""
 
 
 class Certificate:
@@ -85,10 +90,8 @@ class Certificate:
         taken too. confidence: that both bounds hold. more: sets that are judged beside those of the walk.
         """
         self.loop, self.next_sample, self.samples, self.budget = loop, first_sample, samples, budget
-        self.each = 1 - (1 - confidence) / (LOOKS * (LEVELS + more))
+        self.each, self._levels = 1 - (1 - confidence) / (LOOKS * (LEVELS + more)), more > 0
         self.paths = self._again = self._looks = 0  # paths traced in all; of those in doubtful tiles; looks so far
-        # instances that the paths' full scene had in its TLAS, whether they met them or not
-        self._held = np.zeros(len(loop.activation), bool)
         self._layers: list[_Layer] = []
 
     def walk(
@@ -110,15 +113,17 @@ class Certificate:
         # the empty set: it needs neither paths nor builds
         nothing = Accepted(np.zeros(len(units), bool), self.loop.activation.exists.copy(), NOTHING)
         accepted = None if self.loop.limited else nothing
+        if sets and (why := self._too_dear(keep_of(sets[-1]), len(sets) + 1)):
+            return replace(self._verdict(nothing, nothing.keep, NOTHING), why=why)
         for k, cull in enumerate(sets):
             within = part(progress, 1 - 0.9**k, 1 - 0.9 ** (k + 1), "certifying, ")
             while True:
                 before = np.zeros(len(units), bool) if accepted is None else accepted.cull
                 new = cull & ~before
                 new[new] = (units.worth[new][:, full] <= NEGLIGIBLE * self.budget.worst).all(axis=1)
-                if accepted is not None and not new.any():
-                    break
                 whole = before | new
+                if (before.any() and gain(before, whole) < LEAST_GAIN) or (accepted is not None and not new.any()):
+                    break
                 doubts = not before.any() or gain(before, sets[-1]) >= WORTH_WHILE
                 for proposed in (whole, *pieces(before, whole, units)):
                     keep = keep_of(proposed)
@@ -139,6 +144,18 @@ class Certificate:
                     return self._verdict(accepted, keep, estimate)
                 full |= exceeded
         return self._verdict(accepted, np.zeros(0, bool), NOTHING)
+
+    def _too_dear(self, least: np.ndarray, builds: int) -> str:
+        """Why sets are not judged, "" where they are. least: what the largest leaves, (N,) bool; builds: of all that
+        stays, at the least."""
+        stay, of = (int(np.count_nonzero(some)) for some in (least, self.loop.activation.exists))
+        paths = int(self.samples[tiles_of(self.loop.size[1], self.loop.size[0])].sum())
+        if self._levels or builds * stay <= ENTRIES_PER_PATH * paths or pays(self.loop, least, builds * stay):
+            return ""
+        return (
+            f"everything is kept: of {of:,} instances {stay:,} would stay at this error budget, and building them "
+            f"{builds} times, to be sure of it, takes longer than a render takes for the others"
+        )
 
     def verdict(self, cull: np.ndarray, keep: np.ndarray, progress: Progress = silent) -> Verdict:
         """The change by a set of units, (U,) bool, whatever the budget. keep: the instances that it leaves, (N,)
@@ -170,13 +187,8 @@ class Certificate:
     def judge(self, keep: np.ndarray, progress: Progress = silent, doubts: bool = True) -> ErrorEstimate:
         """The error of a set, (N,) bool of what stays; doubts: by as many looks as it takes to be sure, or as are
         left."""
-        # the first set, or a part of one that broke the budget: less of the scene would be left to build
-        wanted = keep & (np.arange(len(keep)) < first_part(self.loop))
-        if (wanted & ~self._held).any():
-            self.loop.include(wanted)
-            self._held |= wanted
-            self._layers.clear()
-            self._again = 0
+        # less of the scene is left to build
+        self.loop.include(keep & (np.arange(len(keep)) < first_part(self.loop)))
         if not self._layers:
             self._add(self.samples, progress)
         staying = Staying(self.loop, keep)
@@ -263,6 +275,18 @@ class Certificate:
         self._again += cost
         self._add(samples, progress)
         return True
+
+
+def pays(loop: Loop, least: np.ndarray, entries: int) -> bool:
+    """Whether to judge sets may win as much as building so many TLAS entries takes. least: what the largest set leaves,
+    (N,) bool.
+
+    Where it leaves instances of all meshes, a render has no less to do but for those that go.
+    """
+    mesh, go = loop.scene.instances.mesh, loop.activation.exists & ~least
+    if loop.limited or loop.options.memory or len(np.setdiff1d(mesh[go], mesh[least])):
+        return True
+    return entries <= RENDERED * int(np.count_nonzero(go))
 
 
 class _Layer:

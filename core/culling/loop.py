@@ -8,9 +8,10 @@ When no path asks for more, the active set is measured by real hits, and what fe
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..accel.blas import BlasCache, Work
 from ..accel.embree import Device, shared_device
@@ -19,9 +20,10 @@ from ..accel.region_tree import Cut
 from ..accel.residency import Residency
 from ..accel.tlas import Tlas
 from ..arrays import F32, F64, I64
-from ..feedback.hits import Weights
-from ..feedback.path_log import PathLog
-from ..feedback.tiles import TILES, marks, tile_means
+from ..error_budget.budget import Budget
+from ..feedback.hits import Feedback, Weights
+from ..feedback.path_log import RECORD, PathLog, renumber
+from ..feedback.tiles import TILES, marks, tile_means, tiles_of
 from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
@@ -31,13 +33,31 @@ from ..threads import limit
 from ..tracing.seen_emitters import NONE_SEEN, SeenEmitters
 from .activation import SETTLED, Activation
 from .division import Division
-from .frame_tracer import FrameTracer, light_known
+from .frame_tracer import FrameTracer, light_known, places
 from .measurement import Measurement, Traced
 from .options import CullOptions
 from .result import Built, CullingResult, states, structure_figures
 
 UNKNOWN = 0.2  # requests per path from which on coarse rounds are worth while
-ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about
+OPENINGS = 16  # rounds of opening boxes at most, each a level or two deeper
+ROUND_PATHS = 1 << 14  # of a coarse round of the cold start, about, at least
+ENTRIES_PER_PATH = 8  # of a TLAS, or boxes, that are built in the time in which a path is traced
+
+
+@dataclass(frozen=True)
+class Witness:
+    """Paths that chose nothing, through the full scene as far as they need it: what each met, and the number of its
+    first sample.
+
+    light: (T,) float64 luminance of all paths of each tile. unknown: (T,) float64, that of what they carry through
+    boxes that were not opened: it may be lost, or other light in its place.
+    """
+
+    tlas: Tlas
+    log: PathLog
+    first_sample: int
+    light: F64
+    unknown: F64
 
 
 class Loop:
@@ -110,9 +130,9 @@ class Loop:
         if self.options.mitigation:
             with self.timer.step("build_s"):
                 self.activation.activate_newly_visible(self.scene, self.cold)
-        coarse_size = self.options.coarse_size(self.scene.film)
         coarse, emissive = self.cold, self.tracer.prepared.emissive
-        self.cold = False
+        self.cold, by_chance = False, False
+        samples = max(1, self.first_samples // sparser)
         tlas = None
         while self.rounds < self.options.max_iterations:
             self.rounds += 1
@@ -122,15 +142,12 @@ class Loop:
             self._schedule_builds(progress)
             tlas = self.tracer.build(self.activation.active)
             cut, boxes = self.boxes(tlas)
-            if coarse:
-                samples = max(1, round(ROUND_PATHS / (coarse_size[0] * coarse_size[1])))
-                feedback, picture = self.tracer.trace(tlas, samples, boxes, size=coarse_size)
-            else:
-                samples = max(1, self.options.round_paths_per_pixel(self.scene.film) // sparser)
-                feedback, picture = self.tracer.trace(tlas, samples, boxes)
+            feedback, picture = _traced_round(self, tlas, boxes, coarse, sparser)
             self.light, self.ambient, self.backdrop = brightness(picture, self.scene.film)
             with self.timer.step("feedback_s"):
-                asked = self.activation.open_requested_boxes(cut, feedback, emissive)
+                asked, by_chance = self.activation.open_requested_boxes(cut, feedback, emissive)
+            if by_chance and self.tracer.paths >= samples * self.size[0] * self.size[1]:
+                break
             if coarse:
                 coarse = asked > max(self.options.settled, SETTLED)
                 continue
@@ -139,11 +156,15 @@ class Loop:
             if asked <= self.options.settled and self.rounds < self.options.max_iterations:
                 tlas = None  # measure with the few that the last round requested, too
                 break
-        if self.options.min_share is None:
+        if self.options.min_share is None and len(emissive):
             self.seen = self.tracer.seen_emitters(self.tracer.build(self.activation.active))
             if self.activation.activate_seen_emitters(self.seen, self.light, self.options.max_error):
                 tlas = None
-        return self.measure(tlas, max(1, self.first_samples // sparser), part(progress, 0.5, 1.0))
+        if by_chance and not self.limited and self.options.max_iterations > 1:
+            # other paths tell little of what these will meet, so these open what they cross
+            only = np.ones((self.size[1], self.size[0], samples), np.uint8)
+            tlas = trace_witness(self, 0, only, Budget(self.options.settled, np.inf), progress).tlas
+        return self.measure(tlas, samples, part(progress, 0.5, 1.0))
 
     def _divide(self) -> None:
         """Replace large meshes that paths have asked for by their parts."""
@@ -239,6 +260,57 @@ class Loop:
         built = Built(self.blas, tlas, self.tracer.prepared)
         result = CullingResult(state, score, hits, cut.bounds, stats, warnings, built=built)
         return self.division.joined(result) if self.division else result
+
+
+def _traced_round(loop: Loop, tlas: Tlas, boxes: Hitboxes, coarse: bool, sparser: int) -> tuple[Feedback, F32]:
+    """Feedback and mean picture of a round."""
+    options, film = loop.options, loop.scene.film
+    if not coarse:
+        return loop.tracer.trace(tlas, max(1, options.round_paths_per_pixel(film) // sparser), boxes)
+    width, height = options.coarse_size(film)
+    paths = max(ROUND_PATHS, (len(tlas) + len(boxes)) // ENTRIES_PER_PATH)
+    return loop.tracer.trace(tlas, max(1, round(paths / (width * height))), boxes, size=(width, height))
+
+
+def trace_witness(
+    loop: Loop, first_sample: int, only: NDArray[np.uint8], tolerated: Budget, progress: Progress = silent
+) -> Witness:
+    """Trace through the full scene those of S paths per pixel that only, (H, W, S), marks. first_sample: the number of
+    the first; no path that chose a set may have one of these numbers.
+
+    Boxes that paths cross are opened, and these paths traced again, until the light that is carried through boxes that
+    are not opened is within tolerated; where builds are limited, none is opened.
+    """
+    log, prepared = PathLog.zeros(*only.shape, backdrop=loop.backdrop), loop.tracer.prepared
+    tile = tiles_of(*only.shape[:2]).ravel()
+    samples = np.maximum(
+        np.bincount(tile, only.sum(axis=2).ravel(), TILES) / np.maximum(np.bincount(tile, minlength=TILES), 1), 1.0
+    )
+    records = log.records.reshape(-1, RECORD)
+    before: Tlas | None = None
+    light: I64 = np.zeros(0, np.int64)
+    for k in range(OPENINGS):
+        progress(1 - 0.6**k, "paths that chose nothing")
+        tlas = loop.tracer.build(loop.activation.active)
+        if before is not None:
+            renumber(records, 1 - only.reshape(-1), places(tlas.ids, before.ids))
+        cut, boxes = loop.boxes(tlas)
+        log.clear(only)
+        weights = replace(Weights.zeros(1, loop.ambient, first=len(tlas)), known=loop.known)
+        feedback, _ = loop.tracer.count(prepared, tlas, only.shape[2], first_sample, boxes, weights, log=log, only=only)
+        light = light if k else weights.total
+        unknown = replace(weights, total=light).relative(samples)[0]  # of tiles without paths 0
+        within = unknown.mean() <= tolerated.mean and unknown.max() <= tolerated.worst
+        if within or loop.limited or not loop.activation.open_crossed_boxes(cut, feedback, prepared.emissive):
+            break
+        only, before = log.affected(np.zeros(len(tlas), bool)), tlas
+    return Witness(
+        tlas,
+        log,
+        first_sample,
+        np.asarray(light * weights.unit, np.float64),
+        np.asarray(weights.light[0] * weights.unit, np.float64),
+    )
 
 
 def all_stay(loop: Loop, why: str) -> CullingResult:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import F64
+from ..arrays import F64, I64
 from ..feedback.tiles import TILES
 from ..progress import Progress, silent
 from .budget import Budget, Savings, select
@@ -43,6 +43,8 @@ PATHS = 1.4  # traced by all trials together at most, to those of the measuremen
 DENSER = 4.0  # times the paths that may be traced in tiles where noise alone stands between a set and the budget
 # of the instances that stay, or of their bytes: what more paths are to let go, at the least, to be traced
 WORTH_WHILE = 0.02
+# of the instances that stay, or of their bytes: what a trial is to let go, at the least
+LEAST_GAIN = 0.001
 UNMET = (0.1, 0.3)  # of the budget: what may be owed to units that no path met, at the first sets of a sequence
 
 
@@ -143,15 +145,15 @@ class Search:
         """A larger set to cull, (U,) bool, within a share of what one leaves of the budget; None where nothing is left
         to try."""
         stay = ~best.cull
-        saved = self.units.saved(self.savings, stay)[stay]
+        saved, members = self.units.saved(self.savings, stay)[stay], self.units.met_members[stay]
         estimate = best.estimate
         used = estimate.tiles + DEVIATIONS * estimate.deviation
         mean = share * max(AIM * self.budget.mean - estimate.mean, (1 - AIM) * self.budget.mean)
         tiles = share * np.maximum(AIM * self.budget.worst - used, (1 - AIM) * self.budget.worst)
         for _ in range(WIDENINGS):
-            cull = best.cull.copy()
-            cull[stay] = select(self.worth[stay], saved, mean, tiles).cull
-            if cull.tobytes() not in tried:  # nor is the set itself
+            cull, go = best.cull.copy(), select(self.worth[stay], saved, mean, tiles).cull
+            cull[stay] = go
+            if _share(go, members, saved) >= LEAST_GAIN and cull.tobytes() not in tried:
                 return cull
             mean, tiles = WIDER * mean, WIDER * tiles
         return None
@@ -192,11 +194,13 @@ class Search:
 def gain(units: Units, savings: Savings, cull: np.ndarray, more: np.ndarray) -> float:
     """What goes with more, (U,) bool, of what stays with cull, a part of it: the larger share of the instances that
     paths met and of the bytes."""
-    n, bytes_of = units.with_entries, units.saved(savings, ~cull)
-    stay, go = ~cull, more & ~cull
-    return max(
-        float(of[go[: len(of)]].sum() / max(of[stay[: len(of)]].sum(), 1)) for of in (units.members[:n], bytes_of)
-    )
+    stay = ~cull
+    return _share(more[stay], units.met_members[stay], units.saved(savings, stay)[stay])
+
+
+def _share(go: np.ndarray, members: I64, bytes_of: F64) -> float:
+    """The larger share that goes, (S,) bool, of members, (S,), and of bytes, (S,)."""
+    return max(float(of[go].sum() / max(of.sum(), 1)) for of in (members, bytes_of))
 
 
 def pieces(before: np.ndarray, cull: np.ndarray, units: Units) -> list[np.ndarray]:

@@ -75,6 +75,11 @@ class Units:
         """How many units have TLAS entries."""
         return len(self.worth) - self.unmet
 
+    @property
+    def met_members(self) -> I64:
+        """(U,) how many instances of each paths met."""
+        return np.append(self.members[: self.with_entries], np.zeros(self.unmet, np.int64))
+
     def entries(self, cull: np.ndarray) -> NDArray[np.bool_]:
         """(A,) which entries are in the units of cull, (U,) bool."""
         return np.asarray(cull[self.of_entry])

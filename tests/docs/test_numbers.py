@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from lipac.core.accel import region_tree
-from lipac.core.culling import activation, analysis, certificate, frame_tracer, loop, measurement, options, witness
+from lipac.core.culling import activation, analysis, certificate, frame_tracer, loop, measurement, options
 from lipac.core.error_budget import budget, error_estimate, search, units
 from lipac.core.feedback import hits, path_log, tiles
 from lipac.core.tracing import path_state, seen_emitters
@@ -108,6 +108,7 @@ CONSTANTS = {
     "WIDENINGS": search.WIDENINGS,
     "DENSER": search.DENSER,
     "WORTH_WHILE": search.WORTH_WHILE,
+    "LEAST_GAIN": search.LEAST_GAIN,
     "UNMET": search.UNMET,
     "NEAR": error_estimate.NEAR,
     "CONFIDENCE": error_estimate.CONFIDENCE,
@@ -123,7 +124,9 @@ CONSTANTS = {
     "MORE": certificate.MORE,
     "DOUBTS": analysis.DOUBTS,
     "DENSER_TIMES": analysis.DENSER_TIMES,
-    "OPENINGS": witness.OPENINGS,
+    "RENDERED": certificate.RENDERED,
+    "ENTRIES_PER_PATH": loop.ENTRIES_PER_PATH,
+    "OPENINGS": loop.OPENINGS,
     "LIT": measurement.LIT,
     "COINCIDENT": analysis.COINCIDENT,
     "LARGE": activation.LARGE,

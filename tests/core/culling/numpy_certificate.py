@@ -35,7 +35,6 @@ class Walk:
     ) -> None:
         self.units, self.budget, self.samples, self.look, self.include = units, budget, samples, look, include
         self.looks: list[Look] = []
-        self.held = np.zeros(len(units.order), bool)
         self.paths = self.again = self.count = 0
 
     def more(self, samples: Array) -> None:
@@ -73,11 +72,7 @@ class Walk:
         return True
 
     def judge(self, keep: Array) -> Change:
-        if (keep & ~self.held).any():
-            self.include(keep)
-            self.held |= keep
-            self.looks.clear()
-            self.again = 0
+        self.include(keep)
         if not self.looks:
             self.more(self.samples)
         change = self.estimate(keep)

@@ -172,6 +172,11 @@ class Units:
         out[self.first :] = 150 * self.members[self.first :]
         return np.maximum(out, 1)
 
+    def gain(self, before: Array, after: Array) -> float:  # section 6
+        met = np.where(np.arange(len(self.worth)) < self.first, self.members, 0)
+        each = met, self.saved(~before)
+        return max(of[after & ~before].sum() / max(of[~before].sum(), 1) for of in each)
+
     def owed(self, cull: Array) -> Array:
         return self.worth[self.first :][cull[self.first :]].sum(axis=0)
 
@@ -272,7 +277,7 @@ def search(
         for _ in range(20):
             cull = last.copy()
             cull[~last] = select(worth[~last], units.saved(~last)[~last], mean, tiles)
-            if cull.tobytes() not in tried:
+            if cull.tobytes() not in tried and units.gain(last, cull) >= 0.001:
                 break
             mean, tiles = 1.5 * mean, 1.5 * tiles
         else:

@@ -11,14 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from lipac.core.accel.tlas import Tlas
-from lipac.core.culling import analysis
+from lipac.core.culling import analysis, certificate
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.certificate import LEVELS, LOOKS, TOLERATED, Certificate, Verdict
 from lipac.core.culling.frame_tracer import FrameTracer
 from lipac.core.culling.levels.levelled import PROPOSALS
-from lipac.core.culling.loop import Loop
+from lipac.core.culling.loop import Loop, trace_witness
 from lipac.core.culling.options import CullOptions
-from lipac.core.culling.witness import trace_witness
 from lipac.core.error_budget.budget import Budget
 from lipac.core.error_budget.error_estimate import Light, Reference
 from lipac.core.error_budget.units import Units
@@ -250,6 +249,30 @@ def test_where_builds_are_limited_what_is_left_out_counts() -> None:
     assert any("not within the error budget" in line for line in limited.warnings)
 
 
+def test_what_cannot_pay_is_not_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a wall nearly all stays. If paths cost next to nothing, building that for each set takes longer than a render
+    takes for what goes; with a mesh that goes altogether nobody knows what a render takes."""
+    scene, options = wall(), CullOptions(width=SIZE[0], max_error=Budget(0.02, 0.1))
+    judged = analyze(scene, options)
+    assert judged.stats["certificate_paths"] > 0
+    monkeypatch.setattr(certificate, "ENTRIES_PER_PATH", 0)
+    result = analyze(scene, options)
+    assert result.active.all()
+    assert result.stats["certificate_paths"] == result.stats["certified_worst"] == 0
+    (line,) = result.warnings
+    assert line.startswith("everything is kept: of 577 instances ")
+    monkeypatch.setattr(certificate, "RENDERED", 1000)  # as if a render took long for each
+    assert not analyze(scene, options).warnings
+    loop = Loop(scene, options)
+    some = np.ones(577, bool)
+    some[:9] = False
+    monkeypatch.setattr(certificate, "RENDERED", 10)
+    assert certificate.pays(loop, some, 90)
+    assert not certificate.pays(loop, some, 91)
+    scene.instances.mesh[0] = 1
+    assert certificate.pays(loop, some, 91)
+
+
 def test_counts_say_which_share_of_light_they_do_not_know() -> None:
     scene = meadow()
     result = analyze(scene, CullOptions(width=SIZE[0], min_share=0.01))
@@ -283,6 +306,7 @@ def test_all_certificates_of_a_frame_share_one_doubt(levels: bool, monkeypatch: 
         nonlocal doubt
         doubt += (1 - certificate.each) * LOOKS * PROPOSALS
 
+    monkeypatch.setattr(analysis, "pays", lambda *_: True)
     monkeypatch.setattr(analysis, "Certificate", Fruitless)
     monkeypatch.setattr(analysis, "has_levels", lambda _loop: levels)
     monkeypatch.setattr(analysis, "levelled", fruitless)

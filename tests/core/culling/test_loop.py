@@ -8,13 +8,17 @@ import pytest
 from lipac.core.accel.blas import BlasCache
 from lipac.core.accel.tlas import Tlas
 from lipac.core.culling.analysis import analyze
+from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions, State
 from lipac.core.culling.policies import LIGHT_PATHS, POLICIES
 from lipac.core.errors import Cancelled
+from lipac.core.feedback.hits import Weights
+from lipac.core.feedback.path_log import PathLog
 from lipac.core.scene import model as s
 from lipac.core.tracing.tracer import prepare, trace
 
 from .. import scenes
+from .test_certificate import meadow
 
 FLOOR, MIRROR, SEEN, REFLECTED, BEHIND_MIRROR, CASTER, UNDERGROUND = range(7)
 
@@ -117,6 +121,22 @@ def test_cost_follows_what_is_active() -> None:
     assert full["active"] == 3006
     assert stats["tlas_bytes"] < full["tlas_bytes"] / 10
     assert stats["blas_bytes"] < full["blas_bytes"]
+
+
+def test_a_measurement_sees_all_of_a_meadow() -> None:
+    """Where each path meets other blades, its own paths open what they cross: rounds of others would take long to find
+    all of them."""
+    loop = Loop(meadow(8000), CullOptions(width=96, paths=2))
+    measured = loop.run()
+    assert loop.rounds <= 16
+    everything = loop.tracer.build(loop.activation.exists)
+    log = PathLog.zeros(*measured.log.shape)
+    weights = Weights.zeros(len(everything), 1.0)
+    loop.tracer.count(loop.tracer.prepared, everything, log.shape[2], 0, None, weights, log=log)
+    others = (log.color != measured.log.color).any(axis=-1)
+    assert others.mean() < 0.02
+    assert measured.met.any()
+    assert len(measured.tlas) < len(everything)
 
 
 @pytest.mark.parametrize("threads", [1, 4])

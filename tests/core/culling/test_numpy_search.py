@@ -9,10 +9,9 @@ import pytest
 
 from lipac.core.culling.analysis import _search, kept_of
 from lipac.core.culling.certificate import Certificate
-from lipac.core.culling.loop import Loop
+from lipac.core.culling.loop import Loop, trace_witness
 from lipac.core.culling.measurement import Traced
 from lipac.core.culling.options import CullOptions
-from lipac.core.culling.witness import trace_witness
 from lipac.core.error_budget.budget import Budget
 from lipac.core.error_budget.error_estimate import Light, Reference
 from lipac.core.feedback.path_log import RECORD, PathLog
