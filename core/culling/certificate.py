@@ -146,8 +146,7 @@ class Certificate:
         return self._verdict(accepted, np.zeros(0, bool), NOTHING)
 
     def _too_dear(self, least: np.ndarray, builds: int) -> str:
-        """Why sets are not judged, "" where they are. least: what the largest leaves, (N,) bool; builds: of all that
-        stays, at the least."""
+        """Why sets are not judged, "" where they are. least: (N,) bool, what the largest leaves; builds: of that."""
         stay, of = (int(np.count_nonzero(some)) for some in (least, self.loop.activation.exists))
         paths = int(self.samples[tiles_of(self.loop.size[1], self.loop.size[0])].sum())
         if self._levels or builds * stay <= ENTRIES_PER_PATH * paths or pays(self.loop, least, builds * stay):
