@@ -45,10 +45,13 @@ def test_a_command_that_does_not_end_is_ended(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("what", fuzz_faults.COMMANDS)
 def test_commands_end_early(what: str) -> None:
-    """One of each fault; half of them in each render by Cycles."""
+    """One of each fault; half of them in each kind of render."""
     seeds = (seed for seed in range(FIRST, FIRST + 1000))
     killed, cancelled, disk, memory = fuzz_faults.FAULTS
-    left = set({"render cycles": (cancelled, disk), "render baked": (killed, memory)}.get(what, fuzz_faults.FAULTS))
+    halves = {
+        "render cycles": (cancelled, disk), "render path": (cancelled, disk), "render baked": (killed, memory)
+    }  # fmt: skip
+    left = set(halves.get(what, fuzz_faults.FAULTS))
     while left:
         seed = next(seeds)
         if (fault := Seeded(seed + 2**33).one(fuzz_faults.FAULTS)) in left:
