@@ -16,12 +16,12 @@ PAGES = [
     ROOT / "CHANGELOG.md",
     *sorted((ROOT / "docs").glob("*.md")),
 ]
-_MARK = re.compile(r"<!-- (not run|slow|elsewhere): (.+?) -->")
+_MARK = re.compile(r"<!-- (slow|elsewhere): (.+?) -->")
 
 
 @dataclass(frozen=True)
 class Block:
-    """A block of code. mark: "", or why it is not run by the suite as it stands, or is slow."""
+    """A block of code. mark: "", or that another test runs it, or that it is slow."""
 
     page: Path
     line: int

@@ -1,7 +1,8 @@
-"""Code blocks of README and docs run as they are written, or say why not; commands in running text are commands."""
+"""Code blocks of README and docs run as they are written; commands in running text are commands."""
 
 from __future__ import annotations
 
+import argparse
 import re
 import shlex
 from pathlib import Path
@@ -16,13 +17,13 @@ from lipac.scripts.lipac import COMMANDS, main
 from .pages import PAGES, ROOT, Block, blocks, prose
 
 BLOCKS = [block for page in PAGES for block in blocks(page)]
-RUN = [block for block in BLOCKS if block.language in ("sh", "python") and block.mark not in ("not run", "elsewhere")]
+RUN = [block for block in BLOCKS if block.language in ("sh", "python") and block.mark != "elsewhere"]
 pytestmark = pytest.mark.slow
 OURS = ("lipac", ".venv/bin/lipac")
 TEXT = ("text", "mermaid", "math")  # what nothing runs
 
 
-def test_each_block_has_a_language_and_a_reason_where_it_is_not_run() -> None:
+def test_each_block_has_a_language_and_runs_somewhere() -> None:
     for block in BLOCKS:
         assert block.language in ("sh", "python", *TEXT), block.name
         assert not block.mark or len(block.reason) > 15, block.name
@@ -62,13 +63,34 @@ def test_it_runs(
         return
     for line in block.text.splitlines():
         words = shlex.split(line, comments=True)
+        if words[:1] == ["blender"]:
+            blender(words[1:])
+            continue
         assert not words or words[0] in OURS, f"{block.name}: {line}"
         if words:
             assert main(words[1:]) == 0, f"{line}: {capfd.readouterr().err}"
 
 
+def blender(words: list[str]) -> None:
+    """What Blender's program does with these options, by the module. Raises AssertionError where a picture is
+    missing."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("-b", dest="file", required=True)
+    parser.add_argument("-o", dest="pictures", required=True)
+    parser.add_argument("-s", dest="first", type=int, required=True)
+    parser.add_argument("-e", dest="last", type=int, required=True)
+    parser.add_argument("-a", action="store_true", required=True)
+    wanted = parser.parse_args(words)
+    bpy.ops.wm.open_mainfile(filepath=wanted.file)
+    scene = bpy.context.scene
+    scene.render.filepath, scene.frame_start, scene.frame_end = wanted.pictures, wanted.first, wanted.last
+    bpy.ops.render.render(animation=True)
+    for frame in range(wanted.first, wanted.last + 1):
+        assert Path(scene.render.frame_path(frame=frame)).is_file(), frame
+
+
 def commands() -> list[tuple[str, str]]:
-    """Command lines of ours in running text, and in the blocks that are not run, by page."""
+    """Command lines of ours in running text, and in the blocks that other tests run, by page."""
     found = [(page.name, text) for page in PAGES for text in re.findall(r"`(lipac [^`\n]+)`", prose(page))]
     for block in BLOCKS:
         if block.language == "sh" and block not in RUN:
