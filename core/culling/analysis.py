@@ -24,6 +24,7 @@ from ..files.figures import percent
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import LEVELS, MORE, NOTHING_SURE, STEEPEST, Certificate, Verdict, pays
+from .frame_tracer import without_bound
 from .levels.levelled import CULLING, PROPOSALS, Levelled, has_levels, levelled
 from .loop import ENTRIES_PER_PATH, Loop, all_stay, trace_witness
 from .measurement import DARKNESS, Measurement, Traced, evidence
@@ -34,7 +35,6 @@ from .result import CullingResult
 # times a tile's light: what stands behind a surface of which nobody knows how much it lets through is credited with
 # more than that
 PRICELESS = 50.0
-COINCIDENT = 1e-3  # share of places with coincident surfaces from which on a warning tells of them
 DENSER_TIMES = 2  # how often at most a measurement gets more paths in some tiles
 DOUBTS = 2  # sets that a search gives up for noise before that
 # of the doubt, what a first certificate has, nearly always the only one, and another after a measurement of twice the
@@ -260,12 +260,7 @@ def _decided(
         )
     elif len(steps) > 1 and not cull.any():
         warnings.append(verdict.why or NOTHING_SURE)
-    chance = loop.tracer.coincident / max(loop.tracer.looks, 1)
-    if chance > COINCIDENT:
-        warnings.append(
-            f"surfaces of several objects lie in one place, on {percent(chance)} of what paths met: which of them a "
-            "renderer shows there is chance, and no error bound holds for it; they stay"
-        )
+    warnings += without_bound(loop.tracer, measured.tlas, measured.emissive, keep, loop.options.max_error.mean)
     ids, worth = measured.tlas.ids, measured.worth
     score = np.zeros(len(loop.activation), np.float32)
     score[ids] = worth.mean(axis=1)

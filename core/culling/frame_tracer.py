@@ -12,11 +12,12 @@ from ..accel.blas import BlasCache
 from ..accel.hitboxes import Hitboxes
 from ..accel.residency import Residency
 from ..accel.tlas import Tlas
-from ..arrays import F32, F64, I32, U8
+from ..arrays import F32, F64, I32, I64, U8
 from ..errors import Cancelled
 from ..feedback.hits import Feedback, Weights
 from ..feedback.path_log import RECORD, PathLog, renumber
-from ..feedback.tiles import TILES
+from ..feedback.tiles import TILES, tile_means
+from ..files.figures import percent
 from ..progress import Progress, silent
 from ..scene.change import Change
 from ..scene.film import Picture
@@ -28,6 +29,7 @@ from .measurement import known_share
 from .options import CullOptions
 from .result import Timer
 
+COINCIDENT = 1e-3  # share of places with coincident surfaces from which on a warning tells of them
 ROUNDS_FROM = 1 << 20  # number of the first sample of rounds: none of those that measure and certify what they choose
 BOXES_PER_SEGMENT = 4  # nearest boxes that a ray segment asks for
 # where most of what there is are parts of meshes: each has a BLAS of its own, and around a surface the boxes of many
@@ -245,6 +247,39 @@ def light_known(tracer: FrameTracer, tlas: Tlas, keep: np.ndarray, samples: int,
     with tracer.timer.step("trace_s"):
         known = tracer._trace(prepared, tlas, samples, 0, None, silent, tracer.size).mean
         return known_share(tracer.scene, known, picture)
+
+
+def without_bound(tracer: FrameTracer, tlas: Tlas, emissive: I64, keep: np.ndarray, mean: float) -> list[str]:
+    """Lines for what no error bound holds, where keep, (N,) bool, stays of a frame that tlas holds. mean: the budget of
+    the mean. emissive: indices of what emits."""
+    lines, chance = [], tracer.coincident / max(tracer.looks, 1)
+    if chance > COINCIDENT:
+        lines.append(
+            f"surfaces of several objects lie in one place, on {percent(chance)} of what paths met: which of them a "
+            "renderer shows there is chance, and no error bound holds for it; they stay"
+        )
+    if not keep[emissive].all() and (lost := clamped(tracer, tlas)) > mean:
+        lines.append(
+            f"clamping takes about {percent(lost)} of the light: how much depends on how a renderer picks among the "
+            "emitters that are there, of which some are culled, and no error bound holds for it; Clamp Direct and "
+            "Indirect of 0 turn it off"
+        )
+    return lines
+
+
+def clamped(tracer: FrameTracer, tlas: Tlas) -> float:
+    """What share of its light a picture of what tlas holds loses by the scene's clamps."""
+    limits = tracer.scene.limits
+    if limits.clamp_direct <= 0 and limits.clamp_indirect <= 0:
+        return 0.0
+    prepared = tracer.with_only_emitters(np.isin(np.arange(len(tracer.scene.instances)), tlas.ids))
+    whole = dataclasses.replace(limits, clamp_direct=0.0, clamp_indirect=0.0)
+    free = dataclasses.replace(prepared, scene=dataclasses.replace(prepared.scene, limits=whole))
+    with tracer.timer.step("trace_s"):
+        less, all_of_it = (
+            tile_means(tracer._trace(p, tlas, 1, 0, None, silent, tracer.size).mean).mean() for p in (prepared, free)
+        )
+    return float(1 - less / all_of_it) if all_of_it > 0 else 0.0
 
 
 def exchanged(tracer: FrameTracer, scene: Scene) -> FrameTracer:

@@ -128,7 +128,7 @@ CONSTANTS = {
     "ENTRIES_PER_PATH": loop.ENTRIES_PER_PATH,
     "OPENINGS": loop.OPENINGS,
     "LIT": measurement.LIT,
-    "COINCIDENT": analysis.COINCIDENT,
+    "COINCIDENT": frame_tracer.COINCIDENT,
     "LARGE": activation.LARGE,
     "COLD_HITS": activation.COLD_HITS,
     "SETTLED": activation.SETTLED,

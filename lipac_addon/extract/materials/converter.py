@@ -74,6 +74,35 @@ def _sent(textures: TextureTable, record: Records) -> tuple[float, float]:
     return mean, mean * sure
 
 
+def _doubt(record: Records, field: str, socket: Any) -> float:
+    """Make the most of a field of a record whose socket is not known, and the roughness by which what it shows is
+    spread."""
+    low, high = range_of(socket)
+    mark(record, Unsure.LIGHT)
+    if field == "coat_roughness":
+        record[field] = min(max(low, 0.0), 1.0)
+    elif field in {"coat", "specular_level"}:
+        record[field] = min(max(high, 0.0), 1.0)
+    elif field in {"ior", "coat_ior"}:
+        if not np.isfinite((low, high)).all():
+            record[field] = socket.default_value
+        if lets_in(record):
+            mark(record, Unsure.BEHIND)
+            return UNKNOWN
+    return 0.0
+
+
+def _lost(textures: TextureTable, value: Value) -> float:
+    """Roughness that stands for what a map of normals has lost by being reduced: the shorter the mean of unit
+    vectors, the more they differ (Toksvig, "Mipmapping Normal Maps", 2005); GGX's alpha is the root of twice the
+    variance of slopes, and Blender's roughness the root of that."""
+    if value.use is None or not textures.sources[value.use.source].reduced:
+        return 0.0
+    normals = 2 * textures.linear(value.use)[..., :3] - 1
+    length = min(max(float(np.linalg.norm(normals, axis=2).mean()), 1e-3), 1.0)
+    return min(float(2 * (1 - length) / length) ** 0.25, 1.0)
+
+
 class Converter:
     """Makes records of the shader sockets of one inlined tree, as one view sees them."""
 
@@ -168,6 +197,18 @@ class Converter:
             value, self._spread = grey(low), max(self._spread, high)
         self.scalar(record, "roughness", value)
 
+    def number(self, record: Records, field: str, socket: Any) -> None:
+        """What the core takes untextured. Where it is not known, it is what most is reflected by, and most sharply, of
+        which nothing is surely there; what is seen by refraction is spread, too."""
+        before = self.reader.doubts
+        self.reader.value(socket)
+        known = not self.most or self.reader.doubts == before
+        value = self.reader.constant(socket)
+        record[field] = value if record[field].shape else value[0]
+        if known or field == "diffuse_roughness":
+            return
+        self._spread = max(self._spread, _doubt(record, field, socket))
+
     def product(self, a: Value, b: Value) -> Value:
         """Both multiplied, as one image at most."""
         if a.use is None or b.use is None:
@@ -209,22 +250,12 @@ class Converter:
         value = self.reader.image(value)
         if value.use is None:
             return
-        roughness = self._lost(value)
+        roughness = _lost(self.textures, value)
         if roughness > FINE:
             self.report("normal map looked at with fewer pixels: half of what is reflected is spread")
             self._spread = max(self._spread, roughness)
         record["normal_texture"] = self.textures.index(value.use)
         record["normal_strength"] = self.reader.constant(source.inputs["Strength"], "normal strength")[0]
-
-    def _lost(self, value: Value) -> float:
-        """Roughness that stands for what a map of normals has lost by being reduced: the shorter the mean of unit
-        vectors, the more they differ (Toksvig, "Mipmapping Normal Maps", 2005); GGX's alpha is the root of twice the
-        variance of slopes, and Blender's roughness the root of that."""
-        if value.use is None or not self.textures.sources[value.use.source].reduced:
-            return 0.0
-        normals = 2 * self.textures.linear(value.use)[..., :3] - 1
-        length = min(max(float(np.linalg.norm(normals, axis=2).mean()), 1e-3), 1.0)
-        return min(float(2 * (1 - length) / length) ** 0.25, 1.0)
 
     def plain(self, node: Any, shader: Shader) -> Records:
         """A BSDF node with Color, and perhaps Roughness, IOR and Normal."""
@@ -239,9 +270,9 @@ class Converter:
             if field == "roughness":
                 self.roughness(record, node.inputs["Roughness"])
             else:
-                record[field] = self.reader.constant(node.inputs["Roughness"])[0]
+                self.number(record, field, node.inputs["Roughness"])
         if "IOR" in node.inputs:
-            record["ior"] = self.reader.constant(node.inputs["IOR"])[0]
+            self.number(record, "ior", node.inputs["IOR"])
         if getattr(node, "distribution", "GGX") not in {"GGX", "MULTI_GGX"}:
             self.report(f"{node.distribution} distribution rendered as GGX")
         for name in ("Anisotropy", "Thin Film Thickness"):
@@ -265,7 +296,7 @@ class Converter:
         record = default_material()
         record["shader"] = Shader.DIFFUSE
         if "Color" in node.inputs:
-            self.color(record, "base_color", self.reader.value(node.inputs["Color"]))
+            self.base(record, node.inputs["Color"])
         if "Normal" in node.inputs:
             self.normal(record, node)
         return record

@@ -41,7 +41,8 @@ UNSUPPORTED = {
     "Transmission Dispersion Scale": "dispersion",
 }
 PORTAL = "Ray Portal not rendered: what it shows from elsewhere is not known; nothing is culled"
-SCALARS = ("metallic", "alpha", "transmission")
+# of shares, what is not known where they are not
+NOT_KNOWN = {"metallic": Unsure.LIGHT, "alpha": Unsure.BEHIND | Unsure.CLEAR, "transmission": Unsure.BEHIND}
 SHEEN = 0.15  # of what comes from anywhere, sheen reflects so much or less where it is looked at from above
 # linear in `base_color`
 TINTED = {Shader.DIFFUSE, Shader.GLOSSY, Shader.GLASS, Shader.TRANSPARENT, Shader.REFRACTION, Shader.TRANSLUCENT}
@@ -53,15 +54,14 @@ def node_bsdf_principled(converter: Converter, node: Any) -> Tree:
     converter.base(record, sockets["Base Color"])
     converter.roughness(record, sockets["Roughness"])
     names = {"metallic": "Metallic", "alpha": "Alpha", "transmission": "Transmission Weight"}
-    for field in SCALARS:
+    for field, doubt in NOT_KNOWN.items():
         before, share = converter.reader.doubts, converter.reader.value(sockets[names[field]])
-        if converter.reader.doubts > before and field in {"alpha", "transmission"}:
+        if converter.reader.doubts > before and (field != "metallic" or converter.most):
             share = HALF
-            mark(record, Unsure.BEHIND | Unsure.CLEAR if field == "alpha" else Unsure.BEHIND)
+            mark(record, doubt)
         converter.scalar(record, field, share)
     for field, name in CONSTANT.items():
-        value = converter.reader.constant(sockets[name])
-        record[field] = value if record[field].shape else value[0]
+        converter.number(record, field, sockets[name])
     converter.emit(record, sockets["Emission Color"], sockets["Emission Strength"])
     # half of it shows, at an alpha or beside a transmission that nobody knows
     if record["unsure"] & Unsure.BEHIND and converter.most:
@@ -145,11 +145,14 @@ def node_bsdf_metallic(converter: Converter, node: Any) -> Records:
     record["metallic"] = 1.0
     if node.fresnel_type == "PHYSICAL_CONDUCTOR":
         converter.report("physical conductor rendered by its colour at normal incidence")
+        before = converter.reader.doubts
         n, k = converter.reader.constant(node.inputs["IOR"]), converter.reader.constant(node.inputs["Extinction"])
         record["base_color"] = ((n - 1) ** 2 + k * k) / ((n + 1) ** 2 + k * k)
+        if converter.most and converter.reader.doubts > before:
+            mark(record, Unsure.LIGHT)
     else:
-        converter.color(record, "base_color", converter.reader.value(node.inputs["Base Color"]))
-        record["specular_tint"] = converter.reader.constant(node.inputs["Edge Tint"])
+        converter.base(record, node.inputs["Base Color"])
+        converter.number(record, "specular_tint", node.inputs["Edge Tint"])
     converter.roughness(record, node.inputs["Roughness"])
     converter.normal(record, node)
     return record

@@ -121,8 +121,19 @@ def test_principled_constants() -> None:
     fields = dict(
         zip(
             [
-                "base_color", "metallic", "roughness", "diffuse_roughness", "ior", "specular_level", "specular_tint",
-                "transmission", "alpha", "coat", "coat_roughness", "coat_ior", "coat_tint"
+                "base_color",
+                "metallic",
+                "roughness",
+                "diffuse_roughness",
+                "ior",
+                "specular_level",
+                "specular_tint",
+                "transmission",
+                "alpha",
+                "coat",
+                "coat_roughness",
+                "coat_ior",
+                "coat_tint",
             ],
             values.values(),
             strict=False,
@@ -367,13 +378,18 @@ def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
         (record,), _, _ = t.parts(t.new("ShaderNodeBsdfPrincipled", {socket: value}))
         assert (record[field], record["unsure"]) == (0.5, 3 if field == "alpha" else Unsure.BEHIND)
     (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Metallic": value}))
+    assert (record["metallic"], record["unsure"], len(lines)) == (0.5, Unsure.LIGHT, 1)
+    (record,), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Diffuse Roughness": value}))
     assert (record["unsure"], len(lines)) == (0, 1)
 
 
 @pytest.mark.parametrize(
     ("kind", "output", "most"),
     [
-        ("ObjectInfo", "Random", 1.0), ("TexNoise", 0, 1.0), ("Wireframe", 0, 1.0), ("Attribute", 2, 100.0),
+        ("ObjectInfo", "Random", 1.0),
+        ("TexNoise", 0, 1.0),
+        ("Wireframe", 0, 1.0),
+        ("Attribute", 2, 100.0),
         ("LightPath", "Ray Length", 100.0),
     ],
 )
@@ -684,13 +700,69 @@ def test_a_roughness_that_is_not_known_is_any(kind: str) -> None:
     assert not lines
 
 
+@pytest.mark.parametrize(
+    ("kind", "name", "field", "most"),
+    [
+        ("Principled", "Metallic", "metallic", 0.5),
+        ("Principled", "Specular IOR Level", "specular_level", 1.0),
+        ("Principled", "Coat Weight", "coat", 1.0),
+        ("Principled", "Coat Roughness", "coat_roughness", 0.0),
+        ("Principled", "Coat IOR", "coat_ior", 1.5),
+        ("Principled", "IOR", "ior", 1.5),
+        ("Principled", "Coat Tint", "coat_tint", 1.0),
+        ("Metallic", "Base Color", "base_color", 1.0),
+        ("Metallic", "Edge Tint", "specular_tint", 1.0),
+    ],
+)
+def test_what_nobody_knows_of_a_surface_is_not_sure(kind: str, name: str, field: str, most: float) -> None:
+    """Where instances have an attribute each, what reflects is as strong and sharp as it may be, and no change is
+    relative to it. Where it is a constant, it is that."""
+    t = Tree()
+    of_instances = t.new("ShaderNodeAttribute", attribute_type="INSTANCER", attribute_name="own")
+    surface = t.new(f"ShaderNodeBsdf{kind}")
+    if name == "Coat IOR":
+        surface.inputs["Coat Weight"].default_value = 1.0
+    (record,), _, lines = t.parts(surface)
+    assert (record["unsure"], lines) == (0, [])
+    source = of_instances.outputs["Color" if "Color" in name or "Tint" in name else "Fac"]
+    t.tree.links.new(source, surface.inputs[name])
+    (record,), _, lines = t.parts(surface)
+    np.testing.assert_allclose(record[field], most, rtol=1e-6)
+    assert (record["unsure"], len(lines)) == (Unsure.LIGHT, 1)
+
+
+@pytest.mark.parametrize("kind", ["Glass", "Refraction"])
+def test_where_glass_of_any_index_leads_is_not_known(kind: str) -> None:
+    """Half of what is seen through it is spread, and what is there stays."""
+    t = Tree()
+    of_instances = t.new("ShaderNodeAttribute", attribute_type="INSTANCER", attribute_name="own").outputs["Fac"]
+    shader = f"ShaderNodeBsdf{kind}" if kind == "Glass" else "ShaderNodeBsdfRefraction"
+    (_, sharp, rough), _, lines = t.parts(t.new(shader, {"IOR": of_instances, "Roughness": 0.0}))
+    assert sharp["ior"] > 1 and sharp["roughness"] == 0 and rough["roughness"] > 0.3
+    assert (sharp["unsure"], rough["unsure"]) == (5, 5) and lines
+
+
+@pytest.mark.parametrize("kind", ["SubsurfaceScattering", "BsdfToon", "BsdfHair"])
+def test_of_a_colour_that_may_be_anything_none_is_sure(kind: str) -> None:
+    """Whatever stands for the surface that has it."""
+    t = Tree()
+    color = t.new("ShaderNodeAttribute", attribute_type="INSTANCER", attribute_name="own").outputs["Color"]
+    node = f"ShaderNode{kind}"
+    parts, _, _ = t.parts(t.new(node, {"Color": color}))
+    shown = [p for p in parts if p["shader"] != Shader.MIX and p["base_color"].any()]
+    assert shown and all(p["unsure"] & Unsure.LIGHT for p in shown)
+
+
 def test_a_volume_alone_lets_light_pass() -> None:
     """Half of it straight on; beside a surface that surface counts."""
     t = Tree()
     t.tree.links.new(t.new("ShaderNodeVolumeScatter").outputs[0], t.output.inputs["Volume"])
     (head, clear, scatters), _, lines = t.parts(None)
     assert (head["alpha"], clear["shader"], scatters["shader"], clear["unsure"]) == (
-        0.5, Shader.TRANSPARENT, Shader.TRANSLUCENT, 1
+        0.5,
+        Shader.TRANSPARENT,
+        Shader.TRANSLUCENT,
+        1,
     )
     assert [line.startswith("material m: volume not rendered: ") for line in lines] == [True]
     (record,), _, lines = t.parts(t.new("ShaderNodeBsdfDiffuse"))
