@@ -40,6 +40,8 @@ DOUBTS = 2  # sets that a search gives up for noise before that
 # of the doubt, what a first certificate has, nearly always the only one, and another after a measurement of twice the
 # paths
 ATTEMPTS = (0.8, 0.2)
+# paths per TLAS entry below which a second attempt has to pay: of what so few meet, twice as many tell little more
+CROWDED = 8
 # Where memory is limited: by how much the budget is widened at a time, from a least one on, up to which mean
 WIDER, LEAST_BOUND, WIDEST = 4.0, 0.002, 2.0
 
@@ -231,7 +233,9 @@ def _judged(
         if attempt == attempts - 1 or not sets or verdict.cull is None or verdict.cull.any() or verdict.why:
             break
         # a measurement and a certificate of twice as many paths
-        if not (more or pays(loop, keep_of(sets[-1]), 4 * ENTRIES_PER_PATH * measured.log.luminance.size)):
+        paths = measured.log.luminance.size
+        many = CROWDED * len(ids) > paths and not more
+        if many and not pays(loop, keep_of(sets[-1]), 4 * ENTRIES_PER_PATH * paths):
             break
         measured = loop.measure(None, 2 * measured.log.shape[2], part(within, 0.9, 1.0))
     return measured, units, steps, verdict, searched, certificate

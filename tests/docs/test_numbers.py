@@ -113,6 +113,7 @@ CONSTANTS = {
     "NEAR": error_estimate.NEAR,
     "CONFIDENCE": error_estimate.CONFIDENCE,
     "ATTEMPTS": analysis.ATTEMPTS,
+    "CROWDED": analysis.CROWDED,
     "LOOKS": certificate.LOOKS,
     "LEVELS": certificate.LEVELS,
     "TOLERATED": certificate.TOLERATED,

@@ -306,13 +306,31 @@ def test_all_certificates_of_a_frame_share_one_doubt(levels: bool, monkeypatch: 
         nonlocal doubt
         doubt += (1 - certificate.each) * LOOKS * PROPOSALS
 
-    monkeypatch.setattr(analysis, "pays", lambda *_: True)
     monkeypatch.setattr(analysis, "Certificate", Fruitless)
     monkeypatch.setattr(analysis, "has_levels", lambda _loop: levels)
     monkeypatch.setattr(analysis, "levelled", fruitless)
     result = analyze(cubes({-3.0: 0.04, -1.5: 0.04, 0.0: 0.8}), CullOptions(width=SIZE[0]))
     assert result.active.all()
     assert 0.025 < doubt <= 0.05 + 1e-9
+
+
+@pytest.mark.parametrize(("crowded", "attempts"), [(analysis.CROWDED, 2), (1e9, 1)])
+def test_a_crowd_gets_a_second_attempt_only_where_that_pays(
+    crowded: float, attempts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of these cubes each is met by many paths; one mesh is theirs, so that a render wins next to nothing."""
+    walks = 0
+
+    class Fruitless(Certificate):
+        def walk(self, sets: Sequence[np.ndarray], *_: object) -> Verdict:  # type: ignore[override]
+            nonlocal walks
+            walks += 1
+            return super().walk([], Units.single(np.zeros((len(sets[0]), TILES))), lambda cull: ~cull)
+
+    monkeypatch.setattr(analysis, "CROWDED", crowded)
+    monkeypatch.setattr(analysis, "Certificate", Fruitless)
+    assert analyze(cubes({-3.0: 0.04, -1.5: 0.04, 0.0: 0.8}), CullOptions(width=SIZE[0])).active.all()
+    assert walks == attempts
 
 
 def test_what_was_credited_without_bound_stays_however_bright_its_tile() -> None:
