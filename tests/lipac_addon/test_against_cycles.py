@@ -4,8 +4,8 @@ Each renders several seeds; every coarse tile of their means is compared by Welc
 the whole picture (Sidak's correction over tiles and channels). Eight means of few samples are not normal, and there are
 dozens of pictures on several Blenders, each with random numbers of its own: so what differs there is rendered once more
 with other seeds and four times the samples, and fails if it differs again. A right renderer fails about one scene in
-ten thousand, a wrong one both times. Clamping and Filter Glossy are off: they depend on how a renderer samples, not on what
-it computes.
+ten thousand, a wrong one both times. Clamping and Filter Glossy are off: they depend on how a renderer samples, not on
+what it computes.
 """
 
 from __future__ import annotations
