@@ -35,7 +35,7 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--device", type=device, metavar="KIND[:CARD,...]", help=where)
     ahead = (
-        "analyse in a separate process, the next frames while one is rendered; the render then takes less memory "
+        "analyse in a separate process, other frames while one is rendered; the render then takes less memory "
         "(default: for several frames that are not rendered on the CPU)"
     )
     parser.add_argument("--ahead", action=BooleanOptionalAction, help=ahead)

@@ -35,26 +35,36 @@ sys.exit(main())
 
 
 @dataclass(frozen=True)
-class Analysed:
-    """What the process says of a frame. entry, approximated, warnings, memory: of its report, the last of all frames so
-    far."""
+class Said:
+    """What the process has said so far. entries: for the report, by frame; approximated, warnings, memory: of its
+    report; peak: bytes of memory that it took at most."""
 
-    states: States
-    entry: dict[str, Any]
+    entries: dict[int, dict[str, Any]]
     approximated: tuple[str, ...]
     warnings: tuple[str, ...]
     memory: list[MemoryRow]
+    peak: int
+
+
+@dataclass(frozen=True)
+class Analysed:
+    """What the process says of a frame. said: of all frames so far."""
+
+    states: States
+    entry: dict[str, Any]
+    said: Said
 
 
 class Ahead:
     """`lipac analyze` over frames, in order, into a folder that goes with it. Whoever takes a frame waits until it is
-    done."""
+    done. folder: that it writes to."""
 
     def __init__(self, arguments: Sequence[str], frames: Sequence[int]) -> None:
         """arguments: of `lipac analyze`, without frames and folder. frames: the first and the last count; those between
         are analysed, too."""
         self._folder = tempfile.TemporaryDirectory(prefix="lipac")
-        self._errors = Path(self._folder.name) / "errors.txt"
+        self.folder = Path(self._folder.name)
+        self._errors = self.folder / "errors.txt"
         where = ["-o", self._folder.name, f"--frames={frames[0]}-{frames[-1]}", "--quiet"]
         # -P: whatever lies in the current folder is no module of Python's
         command = [sys.executable, "-P", "-c", _CHILD, "analyze", *arguments, *where]
@@ -89,27 +99,43 @@ class Ahead:
         """
         start = time.perf_counter()
         while True:
-            ended = self._process.poll() is not None  # asked first: what it wrote before it ended is there then
+            ended = self.has_ended()  # asked first: what it wrote before it ended is there then
             found = self._found(frame, path)
             if found is not None:
                 found.entry["wait_s"] = time.perf_counter() - start
                 return found
-            if ended:
-                raise InputError(self._last_words(frame))
-            check(cancelled)
-            time.sleep(TICK)
+            self.go_on(ended, f"frame {frame}", cancelled)
 
-    def _found(self, frame: int, path: Path) -> Analysed | None:
-        folder = Path(self._folder.name)
-        states = folder / "states" / f"frame_{frame:04}.npz"
-        if not states.exists():
-            return None
+    def has_ended(self) -> bool:
+        """Whether the process has."""
+        return self._process.poll() is not None
+
+    def go_on(self, ended: bool, what: str, cancelled: Cancel) -> None:
+        """Wait for a moment. what: that is waited for. Raises InputError where the process has ended without it,
+        Cancelled."""
+        if ended:
+            raise InputError(self._last_words(what))
+        check(cancelled)
+        time.sleep(TICK)
+
+    def said(self) -> Said | None:
+        """What its report says; None: nothing yet."""
         try:
-            report = json.loads((folder / "report.json").read_text())
+            report = json.loads((self.folder / "report.json").read_text())
         except (OSError, ValueError):
             return None
-        entry = next((one for one in report["frames"] if one["frame"] == frame), None)
-        if entry is None:
+        return Said(
+            {entry["frame"]: entry for entry in report["frames"]},
+            tuple(report["approximated"]),
+            tuple(report["warnings"]),
+            read_rows(self.folder),
+            report["totals"]["peak_bytes"],
+        )
+
+    def _found(self, frame: int, path: Path) -> Analysed | None:
+        states = self.folder / "states" / f"frame_{frame:04}.npz"
+        said = self.said() if states.exists() else None
+        if said is None or frame not in said.entries:
             return None
         try:
             read = load_states(states)
@@ -118,13 +144,12 @@ class Ahead:
         with replacing(path) as part:
             shutil.copyfile(states, part)
         states.unlink()
-        entry["analysis_peak_bytes"] = report["totals"]["peak_bytes"]
-        return Analysed(read, entry, tuple(report["approximated"]), tuple(report["warnings"]), read_rows(folder))
+        return Analysed(read, said.entries[frame] | {"analysis_peak_bytes": said.peak}, said)
 
-    def _last_words(self, frame: int) -> str:
+    def _last_words(self, what: str) -> str:
         lines = self._errors.read_text(errors="replace").strip().splitlines()
         return (
             lines[-1].removeprefix("lipac analyze: ")
             if lines
-            else f"the analysis of frame {frame} ended with status {self._process.returncode}"
+            else f"the analysis of {what} ended with status {self._process.returncode}"
         )

@@ -26,7 +26,7 @@ from ..writeback.levels import levels_of
 from .enforcing import verified
 from .job import Cancel, check, never
 from .session import Decide, Session
-from .shot_set import ShotSet
+from .shots.shot_set import ShotSet
 
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult

@@ -42,7 +42,7 @@ from .engines.path import render_path
 from .engines.wishes import samples_of
 from .job import Cancel, Job, check, never
 from .session import Session, sessions_of
-from .shot_set import ShotSet
+from .shots.shot_set import ShotSet
 
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
@@ -65,7 +65,8 @@ def run_frame_ahead(
     kept = ShotSet()
     kept.add(found.states)
     lines, _ = write_back(~kept.active, kept.keys, found.entry, kept.faces, levels=kept.levels)
-    outcome = Outcome(found.entry, found.approximated, (*found.warnings, *lines), found.memory)
+    said = found.said
+    outcome = Outcome(found.entry, said.approximated, (*said.warnings, *lines), said.memory)
     rest = part(progress, ANALYSIS_SHARE, 1.0, "rendering, ")
     outcome.entry.update(render(job, frame, rest).entry())
     outcome.entry.update(verified(job, frame, None, None, rest, cancelled))

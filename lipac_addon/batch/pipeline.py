@@ -23,7 +23,7 @@ from .engines.wishes import left_out
 from .frame import run_frame, run_frame_ahead
 from .job import SHOT, Cancel, Job, check, never
 from .session import sessions_of
-from .shot import run_shot
+from .shots.shot import run_shot
 
 REGION = "render region: the bounds are those of the whole picture; what is rendered of it alone may change by more"
 STEREO = "stereo: each view sees something else, and one camera is analysed: nothing is culled"

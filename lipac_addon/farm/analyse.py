@@ -24,7 +24,7 @@ from ...core.progress import Progress, part, silent
 from ..batch.deciding import decide_layers
 from ..batch.job import Cancel, Job, check, never
 from ..batch.session import Decide, sessions_of
-from ..batch.uniting import deciding
+from ..batch.shots.uniting import deciding
 from .layout import FarmShot
 from .opening import open_shot
 

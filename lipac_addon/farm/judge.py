@@ -20,8 +20,8 @@ from ...core.progress import Progress, part, silent
 from ..batch.deciding import decide_layers
 from ..batch.job import Cancel, Job, check, never
 from ..batch.session import sessions_of
-from ..batch.shot_set import ShotSet
-from ..batch.uniting import judging
+from ..batch.shots.shot_set import ShotSet
+from ..batch.shots.uniting import judging
 from .layout import FarmShot, read_json, write_json
 from .opening import open_shot
 from .unite import chosen_of, set_of

@@ -25,7 +25,7 @@ from ...core.progress import Progress, silent
 from ..batch.baked import save_copy
 from ..batch.frame import write_back
 from ..batch.job import Cancel, check, never
-from ..batch.shot_set import ShotSet
+from ..batch.shots.shot_set import ShotSet
 from ..console import muted
 from ..keys import packed
 from .analyse import note_of

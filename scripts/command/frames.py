@@ -20,7 +20,7 @@ from ...version import __version__
 from .clock import began
 from .interrupt import ctrl_c
 from .last_words import last_words
-from .options import check, check_device, cull_options
+from .options import check, check_device, cull_options, renders_meanwhile
 from .page import leaving
 from .streams import progress_of, say
 
@@ -163,8 +163,8 @@ def ahead_arguments(args: argparse.Namespace, alone: bool) -> tuple[str, ...]:
         or not alone
         or wanted is False
         or args.cull != LIGHT_PATHS
-        or args.bake != "frame"
         or args.enforce
+        or (args.bake == "shot" and not renders_meanwhile(args))
     ):
         return ()
     several = args.frames is not None and len(args.frames) > 1
@@ -180,6 +180,7 @@ def ahead_arguments(args: argparse.Namespace, alone: bool) -> tuple[str, ...]:
     said |= {name.replace("_", "-"): getattr(args, name) for name in ("camera", "max_error", "min_share", "paths")}
     switches = ("warm", "no-mitigation", "no-parts", "levels")
     flags = [f"--{name}" for name in switches if getattr(args, name.replace("-", "_"))]
+    flags += ["--bake=shot"] if args.bake == "shot" else []
     return (
         str(args.scene),
         *flags,

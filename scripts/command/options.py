@@ -19,8 +19,22 @@ from .arguments import byte_count, crop_count, frame_range, number, path_count, 
 _SETTINGS = tuple(policy.setting.name for policy in RULES.values() if policy.setting is not None and policy.listed)
 # options that tell how to cull, and what for
 HOW = (
-    "cull", "max_error", "min_share", "paths", "memory", "bake", "shot", "warm", "no_parts", "levels", "no_mitigation",
-    "blas_budget", "verify", "enforce", "ahead", *_SETTINGS
+    "cull",
+    "max_error",
+    "min_share",
+    "paths",
+    "memory",
+    "bake",
+    "shot",
+    "warm",
+    "no_parts",
+    "levels",
+    "no_mitigation",
+    "blas_budget",
+    "verify",
+    "enforce",
+    "ahead",
+    *_SETTINGS,
 )
 
 
@@ -268,13 +282,21 @@ def check_ahead(args: argparse.Namespace) -> None:
         return
     if args.engine not in BLENDER_ENGINES:
         raise InputError("--ahead is of Blender's engines, which render meanwhile: --engine cycles or eevee")
-    if args.cull != LIGHT_PATHS or args.bake != "frame" or args.enforce:
+    if args.cull != LIGHT_PATHS or args.enforce:
+        raise InputError(f"--ahead is of --cull {LIGHT_PATHS}: leave --enforce out")
+    if args.bake == "shot" and not renders_meanwhile(args):
         raise InputError(
-            f"--ahead is of --cull {LIGHT_PATHS}, where frames decide by themselves: leave --bake shot and --enforce "
-            "out"
+            "--ahead goes with --bake shot where frames judge one set, of this command alone: leave --warm, --shot, "
+            "--min-share and --blas-budget out"
         )
     if args.scene is None:
         raise InputError("--ahead has another process look at the scene: name its file as SCENE")
+
+
+def renders_meanwhile(args: argparse.Namespace) -> bool:
+    """Whether frames of a shot can be rendered before its set is certain: frames judge it, and all of them are this
+    command's."""
+    return not (args.warm or args.shot or args.min_share is not None or args.blas_budget)
 
 
 def check_memory(args: argparse.Namespace) -> None:

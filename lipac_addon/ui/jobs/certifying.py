@@ -44,7 +44,7 @@ def certify(
     something else limits what is built.
     """
     from ....core.culling.union import decide_closer
-    from ...batch.uniting import by_budget_alone
+    from ...batch.shots.uniting import by_budget_alone
 
     if not by_budget_alone(options):
         return
@@ -71,7 +71,7 @@ def _judged(
 ) -> Generator[None, None, list[int]]:
     """Put into what was found what paths say of the set in each frame; returns those in which it does not hold. turn:
     how many sets they have judged before."""
-    from ...batch.uniting import judgement
+    from ...batch.shots.uniting import judgement
 
     together, held = results.shot_set(found.values()), dict[int, list[bool]]()
     for k, number in enumerate(frames):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ....core.arrays import F32, F64, I64, U8
     from ....core.culling.result import CullingResult
     from ....core.files.memory_table import MemoryRow
-    from ...batch.shot_set import ShotSet
+    from ...batch.shots.shot_set import ShotSet
     from ...extract import Extraction
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
@@ -190,7 +190,7 @@ def union(frames: Collection[FrameResult]) -> FrameResult:
 def shot_set(frames: Iterable[FrameResult]) -> ShotSet:
     """What any of the frames keeps, by keys whose names are as of `tagged`."""
     from ....core.files.report import States
-    from ...batch.shot_set import ShotSet
+    from ...batch.shots.shot_set import ShotSet
 
     shot = ShotSet()
     for frame in frames:

@@ -39,8 +39,17 @@ def entries(folder):
 
 def test_states_and_pictures_are_those_of_one_after_the_other(file, tmp_path):
     common = [
-        "render", str(file), "--frames", "1-3", "--max-error", "0.05", "--resolution", "48x27", "--seed", "3",
-        "--quiet"
+        "render",
+        str(file),
+        "--frames",
+        "1-3",
+        "--max-error",
+        "0.05",
+        "--resolution",
+        "48x27",
+        "--seed",
+        "3",
+        "--quiet",
     ]
     assert main([*common, "-o", str(tmp_path / "a"), "--no-ahead"]) == 0
     assert main([*common, "-o", str(tmp_path / "b"), "--ahead"]) == 0
@@ -84,7 +93,7 @@ def test_a_single_frame_is_analysed_elsewhere_by_wish(file, tmp_path):
 
 def test_what_the_process_says_is_said(file, tmp_path):
     with Ahead([str(file), "--camera", "nobody"], FRAMES) as ahead:
-        folder = Path(ahead._folder.name)
+        folder = ahead.folder
         with pytest.raises(InputError, match=r"^no camera 'nobody'"):
             ahead.take(1, tmp_path / "states.npz", never)
     assert not folder.exists()
@@ -101,7 +110,7 @@ PARENT = """
 import os, sys
 from lipac.lipac_addon.batch.ahead import Ahead
 ahead = Ahead(sys.argv[1:], (1, 3))
-print("AHEAD", ahead._process.pid, ahead._folder.name, flush=True)
+print("AHEAD", ahead._process.pid, ahead.folder, flush=True)
 sys.stdin.read()
 """
 
@@ -170,14 +179,27 @@ def test_when_it_is_done(monkeypatch):
     assert arguments() == ()
     off[0] = True
     expected = (
-        "a.blend", "--warm", "--resolution", "64x36", "--threads", "0", "--seed", "3", "--camera", "C", "--max-error",
-        "0.02"
+        "a.blend",
+        "--warm",
+        "--resolution",
+        "64x36",
+        "--threads",
+        "0",
+        "--seed",
+        "3",
+        "--camera",
+        "C",
+        "--max-error",
+        "0.02",
     )
     assert arguments() == expected
     assert arguments(frames=None) == arguments(frames=(1,)) == ()
     assert arguments(frames=(1,), ahead=True) == expected
     assert arguments(ahead=False) == arguments(alone=False) == arguments(scene=None) == ()
-    assert arguments(cull="frustum") == arguments(bake="shot") == arguments(enforce=True) == ()
+    assert arguments(cull="frustum") == arguments(enforce=True) == ()
+    assert arguments(bake="shot") == ()  # warm
+    assert "--bake=shot" in arguments(bake="shot", warm=False, shot=None, blas_budget=None)
+    assert arguments(bake="shot", warm=False, shot=(1, 2, 3, 4), blas_budget=None) == ()
     off[0] = False
     assert arguments(ahead=True) == expected
     assert arguments(ahead=False, memory=8_000, no_parts=True)[1:4] == ("--warm", "--no-parts", "--resolution")

@@ -16,7 +16,7 @@ from lipac.core.files.level import AnyLevel, Level, Steps
 from lipac.core.files.report import Report, States, load_states
 from lipac.lipac_addon.batch.job import SHOT, Job
 from lipac.lipac_addon.batch.pipeline import run
-from lipac.lipac_addon.batch.shot_set import ShotSet
+from lipac.lipac_addon.batch.shots.shot_set import ShotSet
 from lipac.lipac_addon.batch.verify import GRID
 from lipac.lipac_addon.writeback import restore
 

@@ -12,10 +12,10 @@ from lipac.core.culling.options import CullOptions, State
 from lipac.core.errors import Cancelled
 from lipac.core.files.atomic import is_whole
 from lipac.core.files.report import Report, load_states
-from lipac.lipac_addon.batch import shot
 from lipac.lipac_addon.batch.engines.hybrid_frame import HybridOptions
 from lipac.lipac_addon.batch.job import FRAME, SHOT, Job
 from lipac.lipac_addon.batch.pipeline import STEREO, run
+from lipac.lipac_addon.batch.shots import shot
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.pictures import read_picture
 from lipac.lipac_addon.writeback import apply

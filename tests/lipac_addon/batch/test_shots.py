@@ -32,8 +32,8 @@ from lipac.core.scene.model import RAY_TYPES
 from lipac.lipac_addon.batch.job import SHOT, Job
 from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.batch.session import Session
-from lipac.lipac_addon.batch.shot_set import ShotSet
-from lipac.lipac_addon.batch.uniting import middles
+from lipac.lipac_addon.batch.shots.shot_set import ShotSet
+from lipac.lipac_addon.batch.shots.uniting import middles
 from lipac.lipac_addon.extract import Extractor, extract_frame
 from lipac.lipac_addon.open import open_scene
 from lipac.lipac_addon.pictures import read_picture
@@ -45,29 +45,6 @@ pytestmark = pytest.mark.slow
 SHARED = Path(__file__).parents[3] / ".." / "shared" / "scenes"
 OPTIONS = CullOptions(width=48, paths=2)
 LARGER = CullOptions(width=96, paths=6, max_error=Budget(0.02, 0.1))
-
-
-@pytest.fixture
-def moving(boxes: Any) -> Any:
-    """The boxes; the camera goes up until it sees over the wall, a box moves behind it, another bends."""
-    camera, box = boxes.camera, bpy.data.objects["box1"]
-    for frame, height in ((1, 5.0), (6, 60.0)):
-        camera.location.z = height
-        camera.rotation_euler.x = 1.25 if frame == 1 else 0.26
-        camera.keyframe_insert("location", frame=frame)
-        camera.keyframe_insert("rotation_euler", frame=frame)
-    for frame, y in ((1, 0.0), (6, 9.0)):
-        box.location.y = y
-        box.keyframe_insert("location", frame=frame)
-    bent = bpy.data.objects["box2"]
-    bent.data = bent.data.copy()
-    bent.shape_key_add(name="rest")
-    key = bent.shape_key_add(name="bent")
-    key.data[0].co.z -= 0.7
-    for frame in (1, 6):
-        key.value = frame / 6
-        key.keyframe_insert("value", frame=frame)
-    return boxes
 
 
 def report() -> Report:

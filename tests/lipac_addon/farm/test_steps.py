@@ -19,7 +19,7 @@ from lipac.core.error_budget.budget import Budget
 from lipac.core.errors import InputError
 from lipac.core.files.report import load_states, save_states
 from lipac.lipac_addon.batch.deciding import decide_layers
-from lipac.lipac_addon.batch.shot_set import ShotSet
+from lipac.lipac_addon.batch.shots.shot_set import ShotSet
 from lipac.lipac_addon.farm import analyse, certificate, children, judge, unite, verify
 from lipac.lipac_addon.farm.jobs.writing import Wanted, write_shot
 from lipac.lipac_addon.farm.layout import FarmShot, read_json

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import Records
-from ...core.culling.options import State
-from ...core.files.level import AnyLevel, Steps, finest
-from ...core.files.report import States
-from ..keys import KEY, Keys, Kind, packed
+from ....core.arrays import Records
+from ....core.culling.options import State
+from ....core.files.level import AnyLevel, Steps, finest
+from ....core.files.report import States
+from ...keys import KEY, Keys, Kind, packed
 
 
 class ShotSet:

@@ -19,23 +19,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.culling.options import CullOptions, State
-from ...core.files.atomic import alone, is_whole
-from ...core.files.report import UNREADABLE, Report, States, load_states
-from ...core.progress import Progress, part, silent
-from .. import roles
-from ..extract import Extraction
-from ..extract.geometry.coarser import alternatives
-from ..keys import Keys
-from .deciding import Decided, decide_layers
-from .job import Cancel, Job, check
-from .session import Decide, Session, sessions_of
+from ....core.culling.options import CullOptions, State
+from ....core.files.atomic import alone, is_whole
+from ....core.files.report import UNREADABLE, Report, States, load_states
+from ....core.progress import Progress, part, silent
+from ... import roles
+from ...extract import Extraction
+from ...extract.geometry.coarser import alternatives
+from ...keys import Keys
+from ..deciding import Decided, decide_layers
+from ..job import Cancel, Job, check
+from ..session import Decide, Session, sessions_of
 from .shot_set import ShotSet
 
 if TYPE_CHECKING:
-    from ...core.culling.loop import Loop
-    from ...core.culling.result import CullingResult
-    from ...core.culling.shot import How
+    from ....core.culling.loop import Loop
+    from ....core.culling.result import CullingResult
+    from ....core.culling.shot import How
 
 STRIDE = 8  # frames from one that proposes to the next
 # What a frame has to say in a set; analyses of the first two have files of that kind
@@ -89,7 +89,7 @@ def judging(together: ShotSet, earlier: int, held: list[bool], own: bool) -> Dec
 def judgement(together: ShotSet, keys: Keys, earlier: int, held: list[bool], own: bool) -> How:
     """Judge a set in a frame with these keys, and append to held whether it keeps the budget there. earlier: how many
     sets the frame has judged before; own: whether the frame itself has had its say in this one."""
-    from ...core.culling import union
+    from ....core.culling import union
 
     active, met = together.found(keys)
     faces = together.faces_of(keys, active)
@@ -151,12 +151,12 @@ class Uniting:
                 # the others were judged by a set that has grown since
                 suspects = failing or order
         for frame in self.frames:
-            together.add(self._checked(frame))  # what frames show that no other frame does
+            together.add(self.checked(frame))  # what frames show that no other frame does
         return together
 
     def states(self, frame: int) -> States:
         """What was found out about a frame, with its entry for the report as its note."""
-        states = self._checked(frame)
+        states = self.checked(frame)
         entry: dict[str, Any] = {**json.loads(states.note)["entry"], **self._work[frame]}
         if frame in self.level:
             own = self._own(frame, silent)
@@ -165,7 +165,12 @@ class Uniting:
                 states = replace(states, score=own.score, hits=own.hits)
         return replace(states, note=json.dumps(entry))
 
-    def _checked(self, frame: int) -> States:
+    @property
+    def digest(self) -> str:
+        """Of the set that was judged last."""
+        return self._set[1]
+
+    def checked(self, frame: int) -> States:
         """The last check of a frame. Another process that begins anew in the same folder may have removed it, or a
         fault have damaged it."""
         states = _read(self.found[frame])
@@ -189,9 +194,9 @@ class Uniting:
         if level == WHOLE:
             line = f"frame {frame}: of nothing it is sure that the picture may go without it: all stays"
             self._report.note(self._report.warnings, [line])
-            states = self._checked(frame)
+            states = self.checked(frame)
             return replace(states, state=np.full(len(states.state), State.ACTIVE, np.uint8), faces={}, levels={})
-        from ...core.culling import union
+        from ....core.culling import union
 
         decide = deciding(union.propose if level == PROPOSED else union.decide_closer)
         path = self.job.analysis(frame, _KINDS[level])

@@ -4,39 +4,52 @@ does."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from types import MappingProxyType
 from typing import Any
 
 import bpy
 import numpy as np
 
-from ...core.culling.options import State
-from ...core.files.atomic import alone, is_whole
-from ...core.files.report import UNREADABLE, Report, States, load_states, save_states
-from ...core.progress import Progress, part, silent
-from ...core.scene.model import RAY_TYPES
-from ..depsgraph import show_frame
-from ..writeback.plan import NO_LEVELS
-from .baked import save_baked
-from .deciding import decide_layers
-from .engines.choices import BLENDER_ENGINES
-from .engines.path import render_path
-from .frame import ANALYSIS_SHARE, hybrid, render, write_back
-from .job import Cancel, Job, check
-from .session import Session, sessions_of
+from ....core.culling.options import State
+from ....core.files.atomic import alone, is_whole
+from ....core.files.report import UNREADABLE, Report, States, load_states, save_states
+from ....core.progress import Progress, part, silent
+from ....core.scene.model import RAY_TYPES
+from ...depsgraph import show_frame
+from ...writeback.plan import NO_LEVELS
+from ..baked import save_baked
+from ..deciding import decide_layers
+from ..engines.choices import BLENDER_ENGINES
+from ..engines.path import render_path
+from ..frame import ANALYSIS_SHARE, hybrid, render
+from ..job import Cancel, Job, check
+from ..session import Session, sessions_of
+from .meanwhile import Drawn, render_meanwhile
 from .shot_set import ShotSet
 from .uniting import Uniting, unites
+from .written import Written
 
 TRIES = 3
+NOTHING_DRAWN: Mapping[int, Drawn] = MappingProxyType({})
 
 
 def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, cancelled: Cancel) -> None:
     """Find out what each frame of the shot needs; then do the job's with what any of them does."""
-    share = ANALYSIS_SHARE if job.engine else 0.9
+    share, written = ANALYSIS_SHARE if job.engine else 0.9, Written(lasting=job.save is not None)
     if unites(job):
+        drawn: Mapping[int, Drawn] = NOTHING_DRAWN
+        if job.ahead and not finished and not any((job.folder / "analysis").glob("frame_*")):
+            drawn = render_meanwhile(job, written, report, progress, cancelled)
         uniting = Uniting(job, report, cancelled)
-        _use(job, uniting.run(part(progress, 0.0, share)), uniting.states, share, finished, report, progress, cancelled)
+        shot = uniting.run(part(progress, 0.0, share) if not drawn else silent)
+        drawn = {
+            frame: one
+            for frame, one in drawn.items()
+            if one.digest == uniting.digest and np.array_equal(one.active, shot.of(uniting.checked(frame)))
+        }
+        _use(job, shot, uniting.states, share, finished, report, progress, cancelled, written, drawn)
         return
     _analyse(job, report, part(progress, 0.0, share), cancelled)
 
@@ -53,7 +66,7 @@ def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, c
     shot = ShotSet()
     for frame in job.shot or job.frames:
         shot.add(needed(frame))
-    _use(job, shot, needed, share, finished, report, progress, cancelled)
+    _use(job, shot, needed, share, finished, report, progress, cancelled, written)
 
 
 def _use(
@@ -65,16 +78,14 @@ def _use(
     report: Report,
     progress: Progress,
     cancelled: Cancel,
+    written: Written,
+    drawn: Mapping[int, Drawn] = NOTHING_DRAWN,
 ) -> None:
     """Do a job's frames with a set. needed: what is known of a frame by itself, with its entry for the report as its
-    note; share: of the progress that is done."""
+    note; share: of the progress that is done; drawn: pictures of the set that are there."""
     levels = shot.levels if unites(job) else NO_LEVELS  # else they are not certified
-    if job.save is not None or job.engine in BLENDER_ENGINES:
-        written: dict[str, Any] = {}
-        lasting = job.save is not None
-        lines, _ = write_back(~shot.active, shot.keys, written, shot.faces, lasting, levels)
-        report.note(report.warnings, lines)
     if job.save is not None:
+        written.use(shot, levels)
         save_baked(job.save)
     with Session(job) as session:
         for k, frame in enumerate(job.frames):
@@ -97,9 +108,12 @@ def _use(
                 "pending": 0,
             }
             if job.engine in BLENDER_ENGINES:
-                show_frame(bpy.context.scene, frame)
-                entry |= {**written, "writeback_s": written["writeback_s"] / len(job.frames)}
-                entry |= render(job, frame, within).entry()
+                if frame not in drawn:
+                    written.use(shot, levels)
+                    show_frame(bpy.context.scene, frame)
+                there = drawn.get(frame)
+                entry |= render(job, frame, within).entry() if there is None else there.entry
+                entry |= written.entry(len(job.frames))
             elif job.engine:
                 _render_kept(session, frame, active, entry, within, cancelled)
             state = np.where(active, State.ACTIVE, State.CULLED).astype(np.uint8)
@@ -113,7 +127,7 @@ def _use(
                 faces=shot.faces,
                 levels=levels,
             )
-            report.add_frame(entry)
+            report.add_frame(entry, warnings=written.lines)
             report.write(job.folder)
 
 
@@ -130,7 +144,7 @@ def _render_kept(
             extraction.scene, active, job.stem(frame), job.samples, job.seed, job.threads, progress, cancelled
         )
         return
-    from ...core.culling.loop import Loop
+    from ....core.culling.loop import Loop
 
     n, before = len(active), dict(entry)
     nothing = np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64)
