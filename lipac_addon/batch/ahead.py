@@ -11,13 +11,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ...core.errors import InputError
+from ...core.errors import Cancelled, InputError
 from ...core.files.atomic import replacing
 from ...core.files.memory_table import MemoryRow, read_rows
 from ...core.files.report import UNREADABLE, States, load_states
-from .job import Cancel, check
+
+if TYPE_CHECKING:
+    from .job import Cancel  # which loads Blender: this process may be begun before that
 
 TICK = 0.02  # seconds between looks at what the process has done
 # What the process runs: the command line. Where whoever waits for it is killed, its input ends: so does it then, and
@@ -80,8 +82,7 @@ class Ahead:
     def wait(self, cancelled: Cancel) -> None:
         """Wait until the process has ended, and with it what it takes."""
         while self._process.poll() is None:
-            check(cancelled)
-            time.sleep(TICK)
+            _pause(cancelled)
 
     def close(self) -> None:
         """End the process, and remove what it has left."""
@@ -115,8 +116,7 @@ class Ahead:
         Cancelled."""
         if ended:
             raise InputError(self._last_words(what))
-        check(cancelled)
-        time.sleep(TICK)
+        _pause(cancelled)
 
     def said(self) -> Said | None:
         """What its report says; None: nothing yet."""
@@ -153,3 +153,10 @@ class Ahead:
             if lines
             else f"the analysis of {what} ended with status {self._process.returncode}"
         )
+
+
+def _pause(cancelled: Cancel) -> None:
+    """A moment. Raises Cancelled."""
+    if cancelled():
+        raise Cancelled
+    time.sleep(TICK)

@@ -105,8 +105,18 @@ def decided_of(extraction: Extraction, result: CullingResult, entry: dict[str, A
     weighed = (Weighed.of(extraction, result, entry["frame"], bpy.context.scene),)
     entry = entry | result.stats
     return Decided(
-        result.state, result.score, result.hits, boxes, keys.records, keys.names, entry, *lines, faces, result.tiles,
-        weighed, levels_of(extraction, result)
+        result.state,
+        result.score,
+        result.hits,
+        boxes,
+        keys.records,
+        keys.names,
+        entry,
+        *lines,
+        faces,
+        result.tiles,
+        weighed,
+        levels_of(extraction, result),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from ...core.culling.options import CullOptions
 from ...core.culling.policies import NOTHING
 from ...core.errors import Cancelled
 from ...core.files.atomic import is_whole
+from .ahead import Ahead
 from .engines.as_scene import files_of
 from .engines.choices import AS_SET, BLENDER_ENGINES, ENGINES, DeviceChoice
 from .engines.hybrid_frame import HybridOptions
@@ -48,7 +49,8 @@ class Job:
     rendered; none: it is not. texture_cache: for Cycles, the folder of Blender's files of tiles of images
     (`texture_cache`); None: as the scene is set. process: bytes of the process that renders, before it does, where its
     memory is limited (`CullOptions.memory`); 0: not known. if_it_pays: where culling can save nothing of what Cycles
-    takes on the CPU for a frame, render it whole, without an analysis (`memory.stakes`).
+    takes on the CPU for a frame, render it whole, without an analysis (`memory.stakes`). begun: the process that
+    analyses ahead, where it runs already.
     """
 
     folder: Path
@@ -72,6 +74,11 @@ class Job:
     texture_cache: Path | None = None
     process: int = 0
     if_it_pays: bool = False
+    begun: Ahead | None = None
+
+    def analysing(self, frames: Sequence[int]) -> Ahead:
+        """The process that analyses ahead."""
+        return self.begun or Ahead(self.ahead, frames)
 
     def stem(self, frame: int) -> Path:
         """A frame's pictures, without their endings."""

@@ -97,7 +97,7 @@ def _run_frames(job: Job, finished: set[int], report: Report, progress: Progress
         _run_in_little_memory(job, todo, report, progress, cancelled)
         return
     if job.ahead and not job.whole and not finished:
-        with Ahead(job.ahead, todo) as ahead:
+        with job.analysing(todo) as ahead:
             for k, frame in enumerate(todo):
                 run_frame_ahead(
                     job,

@@ -26,6 +26,7 @@ from .streams import progress_of, say
 
 if TYPE_CHECKING:
     from ...core.files.report import Report
+    from ...lipac_addon.batch.ahead import Ahead
     from ...lipac_addon.batch.job import Job
 
 CULLED = "linked library was saved with culling applied, which is taken back here, nowhere else: Restore it in {}"
@@ -54,6 +55,7 @@ def do_frames(
     ):
         at_end.callback(not_needed)
         progress(0.0, "opening the scene")
+        begun = at_end.enter_context(early) if (early := begun_early(args)) else None
         from ...lipac_addon.console import muted
 
         with muted():
@@ -69,7 +71,7 @@ def do_frames(
 
         gc.freeze()  # what is loaded by now stays: who collects garbage need not look through it
         # where another process analyses, this one holds nothing of what that takes
-        elsewhere = engine and (args.memory or getattr(args, "ahead", False))
+        elsewhere = engine and (args.memory or getattr(args, "ahead", False) or begun)
         if (args.cull != "none" or engine not in BLENDER_ENGINES) and not elsewhere:
             load_ahead(HESITATION if args.if_it_pays else 0.0)
         if args.scene is not None:
@@ -127,6 +129,7 @@ def do_frames(
             tiles,
             args.process or 0,
             args.if_it_pays and engine == "cycles" and not _off_the_cpu(args),
+            begun,
         )
         report = new_report(args, job)
         report.began = began()
@@ -188,16 +191,36 @@ def ahead_arguments(args: argparse.Namespace, alone: bool) -> tuple[str, ...]:
     )
 
 
+def begun_early(args: argparse.Namespace) -> Ahead | None:
+    """The process that analyses ahead, begun while Blender is not loaded here yet: where the command line alone says
+    that there is one, and which frames are its."""
+    known = hasattr(args, "ahead") and args.frames is not None and not (args.memory or args.resume or args.as_scene)
+    if not known or "bpy" in sys.modules:
+        return None
+    from ...lipac_addon.batch.ahead import Ahead
+    from ...lipac_addon.batch.engines.choices import AS_SET, AUTO
+
+    unknown = args.engine == "cycles" and (args.device or AS_SET).kind == AUTO
+    if args.ahead is not True and unknown:
+        return None
+    arguments = ahead_arguments(args, True)
+    return Ahead(arguments, args.frames) if arguments else None
+
+
 def _off_the_cpu(args: argparse.Namespace) -> bool:
     """Whether the command renders on a graphics card."""
-    import bpy
-
-    from ...lipac_addon.batch.engines.choices import AS_SET, BLENDER_ENGINES, CPU
-    from ...lipac_addon.batch.engines.devices import find_device
+    from ...lipac_addon.batch.engines.choices import AS_SET, AUTO, BLENDER_ENGINES, CPU
 
     if args.engine != "cycles":
         return args.engine in BLENDER_ENGINES
-    return find_device(bpy.context.scene, args.device or AS_SET).kind != CPU
+    choice = args.device or AS_SET
+    if choice.kind != AUTO:
+        return bool(choice.kind != CPU)
+    import bpy
+
+    from ...lipac_addon.batch.engines.devices import find_device
+
+    return find_device(bpy.context.scene, choice).kind != CPU
 
 
 def _crashed(args: argparse.Namespace) -> str:

@@ -83,7 +83,7 @@ def render_meanwhile(
     `Uniting` begins with it. Raises InputError, Cancelled."""
     drawn: dict[int, Drawn] = {}
     frames, since, written_for = job.frames, time.perf_counter(), ("", 0)
-    with Ahead(job.ahead, frames) as ahead:
+    with job.analysing(frames) as ahead:
         judged = Judged(ahead.folder / "analysis")
         progress(0.0, "waiting for the analysis")
         while True:

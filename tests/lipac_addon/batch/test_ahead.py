@@ -14,6 +14,7 @@ import pytest
 
 from lipac.core.errors import Cancelled, InputError
 from lipac.lipac_addon.batch.ahead import Ahead
+from lipac.lipac_addon.batch.engines.choices import DeviceChoice
 from lipac.lipac_addon.batch.job import never
 from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.command import frames
@@ -208,3 +209,28 @@ def test_when_it_is_done(monkeypatch):
     with pytest.raises(InputError, match="add --device cpu"):
         arguments(memory=8_000)
     off[0] = False
+
+
+def test_it_begins_before_blender_is_loaded(monkeypatch):
+    """Where the command line says all of it: frames, and that the render is not on the CPU, or the wish."""
+    from lipac.scripts.command.options import scene_parser
+
+    def begun(*options):
+        args = scene_parser("render", "").parse_args(["a.blend", "-o", "out", *" ".join(options).split()])
+        more = {"ahead": None, "engine": "cycles", "device": None, "as_scene": False} | extra
+        return frames.begun_early(Namespace(**vars(args) | more))
+
+    extra = {}
+    monkeypatch.setattr("lipac.lipac_addon.batch.ahead.Ahead", lambda *given: given)
+    assert begun("--frames 1-3") is None
+    monkeypatch.delitem(sys.modules, "bpy")
+    assert begun("--frames 1-3") is None  # the file may say a card, or the CPU
+    extra = {"device": DeviceChoice("cpu")}
+    assert begun("--frames 1-3") is None
+    for extra in ({"device": DeviceChoice("cuda")}, {"engine": "eevee"}, {"ahead": True}):
+        arguments, which = begun("--frames 1-3", "--bake shot")
+        assert arguments[0] == "a.blend" and "--bake=shot" in arguments
+        assert tuple(which) == FRAMES
+        assert begun() is begun("--frames 1-3 --resume") is begun("--frames 1-3 --cull frustum") is None
+        extra |= {"as_scene": True}
+        assert begun("--frames 1-3") is None

@@ -25,7 +25,6 @@ from lipac.core.scene.model import RAY_TYPES
 from lipac.lipac_addon.batch.ahead import Said
 from lipac.lipac_addon.batch.job import SHOT, Job
 from lipac.lipac_addon.batch.pipeline import run
-from lipac.lipac_addon.batch.shots import meanwhile
 from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.lipac import main
 
@@ -55,9 +54,6 @@ class Recorded:
         self.folder, self._left = folder, fails_after
         self._files = sorted((done / "analysis").glob("*.npz"), key=lambda path: path.stat().st_mtime_ns)
         (folder / "analysis").mkdir(parents=True)
-
-    def __call__(self, _arguments: Sequence[str], _frames: Sequence[int]) -> Recorded:
-        return self
 
     def __enter__(self) -> Recorded:
         return self
@@ -109,12 +105,11 @@ def growing(moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 def test_a_set_that_grows(growing: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was rendered too early is rendered again, and nothing else; nothing is analysed here."""
     rendered: list[int] = []
-    monkeypatch.setattr(meanwhile, "Ahead", Recorded(growing, tmp_path / "other"))
     monkeypatch.setattr(union, "check", None)
     monkeypatch.setattr(union, "propose", None)
     bpy.app.handlers.render_post.append(lambda scene, _: rendered.append(scene.frame_current))
     try:
-        report = shot(tmp_path / "meanwhile", ahead=("scene.blend",))
+        report = shot(tmp_path / "meanwhile", ahead=("scene.blend",), begun=Recorded(growing, tmp_path / "other"))
     finally:
         bpy.app.handlers.render_post.pop()
     first = {json.loads(str(np.load(path)["note"]))["set"] for path in (growing / "analysis").glob("*_checked0.npz")}
@@ -127,12 +122,10 @@ def test_a_set_that_grows(growing: Path, tmp_path: Path, monkeypatch: pytest.Mon
     assert any(entry["wait_s"] >= 0 for entry in report.frames if "wait_s" in entry)
 
 
-def test_an_analysis_that_ends_early_ends_the_command(
-    growing: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(meanwhile, "Ahead", Recorded(growing, tmp_path / "other", fails_after=4))
+def test_an_analysis_that_ends_early_ends_the_command(growing: Path, tmp_path: Path) -> None:
+    begun = Recorded(growing, tmp_path / "other", fails_after=4)
     with pytest.raises(InputError, match="the shot: no more"):
-        shot(tmp_path / "meanwhile", ahead=("scene.blend",))
+        shot(tmp_path / "meanwhile", ahead=("scene.blend",), begun=begun)
     assert not any(ob.hide_render for ob in bpy.data.objects)
 
 
