@@ -24,7 +24,7 @@ from ..files.figures import percent
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import LEVELS, MORE, NOTHING_SURE, STEEPEST, Certificate, Verdict, pays
-from .frame_tracer import without_bound
+from .frame_tracer import twins_met, with_twins, without_bound
 from .levels.levelled import CULLING, PROPOSALS, Levelled, has_levels, levelled
 from .loop import ENTRIES_PER_PATH, Loop, all_stay, trace_witness
 from .measurement import DARKNESS, Measurement, Traced, evidence
@@ -141,7 +141,7 @@ def _within(
     judged = _judged(loop, measured, tighter, part(progress, 0.0, 0.4), PROPOSALS + LEVELS)
     measured, units, steps, verdict, searched, certificate = judged
     if verdict.cull is not None:
-        keep = loop.twins.joined(loop.scene.instances.bounds, verdict.keep | loop.activation.pinned)
+        keep = with_twins(loop.tracer, verdict.keep | loop.activation.pinned)
         estimate = certificate.judge(keep, doubts=False)
         found = levelled(loop, measured, certificate, keep, estimate, budget, part(progress, 0.4, 0.8))
         if found is not None:
@@ -187,7 +187,7 @@ def by_memory(
             judge = Certificate(loop, measured.next_sample, samples, bound)
             verdict = judge.verdict(cull, keep, part(progress, 0.5, 1.0))
             if found is not None:
-                found = found.again(judge, loop.twins.joined(loop.scene.instances.bounds, keep), bound)
+                found = found.again(judge, with_twins(loop.tracer, keep), bound)
                 verdict = found.verdict(verdict, judge)
     result = _decided(loop, measured, units, steps, verdict, searched, found)
     return replace(result, stats=result.stats | {"memory_limit_bytes": limit})
@@ -352,6 +352,7 @@ def units_measured(loop: Loop, measured: Measurement, budget: Budget, light: Lig
         savings = _savings(loop, ids)
         must = loop.activation.pinned.copy()
         must[ids[measured.weights.unbounded | (worth > PRICELESS).any(axis=1)]] = True
+        must[twins_met(loop.tracer, measured.feedback.hits)] = True
         emitters = loop.seen
         share = light.share(emitters.tile, emitters.color)
         seen = Seen(measured.tlas.entry_of(len(loop.activation))[emitters.instance], emitters.tile, share)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from copy import copy
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..accel.blas import BlasCache
 from ..accel.hitboxes import Hitboxes
@@ -23,6 +24,7 @@ from ..scene.change import Change
 from ..scene.film import Picture
 from ..scene.known_light import known_light
 from ..scene.model import Scene
+from ..scene.twins import Twins
 from ..tracing.seen_emitters import SeenEmitters, seen_emitters
 from ..tracing.tracer import Prepared, advanced, prepare, trace
 from .measurement import known_share
@@ -40,14 +42,14 @@ BOXES_AMONG_PARTS = 1
 class FrameTracer:
     """Paths through sets of a frame's instances; what they need is built first.
 
-    size: width and height of the analysis picture. paths, rays: traced so far in this frame. timer: seconds of its
-    steps, of those of its callers too.
+    size: width and height of the analysis picture. paths, rays: traced so far in this frame. shared: the
+    largest share of a trace's hits that was on twins. timer: seconds of its steps, of those of its callers too.
     """
 
     def __init__(
         self, scene: Scene, options: CullOptions, residency: Residency, cancelled: Callable[[], bool] | None
     ) -> None:
-        self._options, self.residency = options, residency
+        self._options, self.residency, self.twins = options, residency, Twins()
         self._enter(scene, cancelled)
         with self.timer.step("build_s"):
             self.prepared = prepare(scene, residency.blas)
@@ -68,7 +70,7 @@ class FrameTracer:
         self._whole = len(scene.instances)
         self.timer = Timer()
         self.paths = self.rays = self.looks = self.coincident = 0  # as of Picture, in all traces
-        self.size = self._options.picture_size(scene.film)
+        self.size, self.shared = self._options.picture_size(scene.film), 0.0
         # measurements take samples from 0 on, in every frame the same: what did not change measures the same
         self.next_sample = ROUNDS_FROM
 
@@ -239,6 +241,22 @@ class FrameTracer:
         return picture
 
 
+def with_twins(tracer: FrameTracer, keep: np.ndarray) -> np.ndarray:
+    """keep, (N,) bool, with all that lie exactly where one of them does."""
+    return tracer.twins.joined(tracer.scene.instances.bounds, keep)
+
+
+def twins_met(tracer: FrameTracer, hits: I64) -> NDArray[np.intp]:
+    """Instances that lie exactly where another one does, and that rays met: nobody knows what such show. hits: as of
+    `Feedback`; which share of them is on such is noted."""
+    twins = tracer.twins.rows(tracer.scene.instances)
+    if not len(twins):
+        return twins
+    met = hits[twins].sum(axis=1)
+    tracer.shared = max(tracer.shared, int(met.sum()) / max(int(hits.sum()), 1))
+    return twins[met > 0]
+
+
 def light_known(tracer: FrameTracer, tlas: Tlas, keep: np.ndarray, samples: int, picture: F32) -> F64:
     """(T,) `known_share` of a picture of keep, (N,) bool, which tlas holds, by the samples from 0 on."""
     if (scene := known_light(tracer.scene)) is None:
@@ -250,18 +268,18 @@ def light_known(tracer: FrameTracer, tlas: Tlas, keep: np.ndarray, samples: int,
 
 
 def without_bound(tracer: FrameTracer, tlas: Tlas, emissive: I64, keep: np.ndarray, mean: float) -> list[str]:
-    """Lines for what no error bound holds, where keep, (N,) bool, stays of a frame that tlas holds. mean: the budget of
-    the mean. emissive: indices of what emits."""
-    lines, chance = [], tracer.coincident / max(tracer.looks, 1)
-    if chance > COINCIDENT:
+    """Lines for what no error bound holds, where keep, (N,) bool, stays of a frame that tlas holds: the same in all
+    frames of a budget. mean: the budget of the mean. emissive: indices of what emits."""
+    lines = []
+    if max(tracer.coincident / max(tracer.looks, 1), tracer.shared) > COINCIDENT:
         lines.append(
-            f"surfaces of several objects lie in one place, on {percent(chance)} of what paths met: which of them a "
-            "renderer shows there is chance, and no error bound holds for it; they stay"
+            f"surfaces of several objects lie in one place, on more than {percent(COINCIDENT)} of what paths met: "
+            "which of them a renderer shows there is chance, and no error bound holds for it; they stay"
         )
-    if not keep[emissive].all() and (lost := clamped(tracer, tlas)) > mean:
+    if not keep[emissive].all() and clamped(tracer, tlas) > mean:
         lines.append(
-            f"clamping takes about {percent(lost)} of the light: how much depends on how a renderer picks among the "
-            "emitters that are there, of which some are culled, and no error bound holds for it; Clamp Direct and "
+            f"clamping takes more than {percent(mean)} of the light: how much depends on how a renderer picks among "
+            "the emitters that are there, of which some are culled, and no error bound holds for it; Clamp Direct and "
             "Indirect of 0 turn it off"
         )
     return lines

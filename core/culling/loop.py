@@ -28,12 +28,11 @@ from ..progress import Progress, part, silent
 from ..scene.change import Change
 from ..scene.film import LUMINANCE
 from ..scene.model import RAY_TYPES, Film, Scene
-from ..scene.twins import Twins
 from ..threads import limit
 from ..tracing.seen_emitters import NONE_SEEN, SeenEmitters
 from .activation import SETTLED, Activation
 from .division import Division
-from .frame_tracer import FrameTracer, light_known, places
+from .frame_tracer import FrameTracer, light_known, places, twins_met, with_twins
 from .measurement import Measurement, Traced
 from .options import CullOptions
 from .result import Built, CullingResult, states, structure_figures
@@ -90,7 +89,6 @@ class Loop:
         self.division = Division.of(scene, options, self.limited)
         self.light, self.ambient, self.backdrop = np.zeros(TILES), 0.0, 0.0  # `brightness` of the last round
         self.known = np.ones(TILES)  # share of the light of each tile that is surely there, by the last measurement
-        self.twins = Twins()
         self.tracer = FrameTracer(scene, options, self.residency, cancelled)
         self._enter(scene)
         with self.timer.step("build_s"):
@@ -242,7 +240,7 @@ class Loop:
 
         What the last measurement does not need is freed; where there was none, all that is active stays built.
         """
-        self.activation.kept = keep = self.twins.joined(self.scene.instances.bounds, keep | self.activation.pinned)
+        self.activation.kept = keep = with_twins(self.tracer, keep | self.activation.pinned)
         self.activation.activate(keep)
         self._schedule_builds()
         tlas = self.tracer.build(keep)
@@ -298,7 +296,9 @@ def trace_witness(
         log.clear(only)
         weights = replace(Weights.zeros(1, loop.ambient, first=len(tlas)), known=loop.known)
         feedback, _ = loop.tracer.count(prepared, tlas, only.shape[2], first_sample, boxes, weights, log=log, only=only)
-        light = light if k else weights.total
+        if not k:
+            light = weights.total
+            twins_met(loop.tracer, feedback.hits)
         unknown = replace(weights, total=light).relative(samples)[0]  # of tiles without paths 0
         within = unknown.mean() <= tolerated.mean and unknown.max() <= tolerated.worst
         if within or loop.limited or not loop.activation.open_crossed_boxes(cut, feedback, prepared.emissive):

@@ -25,6 +25,7 @@ from ..scene.model import RAY_TYPES
 from .analysis import by_budget, decide, kept_of, units_measured
 from .certificate import Certificate
 from .division import Division
+from .frame_tracer import with_twins, without_bound
 from .levels.exchange import with_levels
 from .levels.levelled import has_levels, proposed_levels
 from .levels.stand_ins import Alternative, Coarser, StandIn
@@ -62,7 +63,7 @@ def propose(loop: Loop, progress: Progress = silent) -> CullingResult:
     levels: dict[int, StandIn | Coarser] = {}
     figures: dict[str, float | int] = {}
     if has_levels(loop):
-        kept = loop.twins.joined(loop.scene.instances.bounds, keep)
+        kept = with_twins(loop.tracer, keep)
         levels, figures = proposed_levels(loop, measured, kept, *bounds)
     result = loop.result(keep, score, measured.feedback.hits, (), **predicted)
     return replace(result, stats=result.stats | figures, stand_ins=levels)
@@ -130,16 +131,22 @@ def check(
         "unknown_worst": float(unknown.max(initial=0.0)),
         "certificate_paths": judge.paths,
     }
+    lacks = bool((loop.activation.pinned[: len(keep)] & ~keep).any())
+    may = whole or not (loop.scene.whole or lacks)
+    holds = may and estimate.surely_holds(loop.options.max_error, judge.each)
+    warnings: Sequence[str] = ()
+    if holds and not whole:
+        emissive, mean = loop.tracer.prepared.emissive, loop.options.max_error.mean
+        warnings = without_bound(loop.tracer, loop.tracer.build(loop.activation.active), emissive, stays, mean)
     n = len(loop.activation)
-    result = loop.result(stays, np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64), (), **figures)
+    score, hits = np.zeros(n, np.float32), np.zeros((n, RAY_TYPES), np.int64)
+    result = loop.result(stays, score, hits, tuple(warnings), **figures)
     result = replace(result, tiles=estimate.upper_tiles(sure).astype(np.float32))
     if exchange is not None:
         stats = result.stats | exchange.figures | {"levels": len(levels)}
         mesh = loop.scene.instances.mesh
         result = replace(result, stats=stats, stand_ins={int(mesh[rows[0]]): level.what for rows, level in levels})
-    lacks = bool((loop.activation.pinned[: len(keep)] & ~keep).any())
-    may = whole or not (loop.scene.whole or lacks)
-    return Check(may and estimate.surely_holds(loop.options.max_error, judge.each), result)
+    return Check(holds, result)
 
 
 def _begin(loop: Loop, active: NDArray[np.bool_], faces: Mapping[int, NDArray[np.bool_]]) -> None:

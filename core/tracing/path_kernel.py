@@ -346,7 +346,7 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
         if label & TRANSPARENT:
             transparent += 1
             straight = True
-            stop = stop or transparent > s.settings[I_TRANSPARENT]
+            stop = transparent >= s.settings[I_TRANSPARENT]
             ox, oy, oz = offset_origin(w.surf, w.frame, dx, dy, dz)
             before += t
             continue

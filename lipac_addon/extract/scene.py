@@ -42,6 +42,7 @@ from .world import VIEW, ExtractedWorld, extract_world
 
 # of the diagonal of a mesh's box: displaced by more, it may be anywhere about, where paths pass between its shells
 MUCH = 0.25
+DISPLACED = "displacement by much of a mesh's size not rendered: these meshes stay, and what is within their reach"
 CATCHERS = "shadow catchers: no error bound holds for light, beside shadows, that they show; --verify measures it"
 CAUSTICS = f"shadow caustics not rendered: what only lights them, or shades them, {WORTHLESS}"
 Look = Callable[[GraphReader, Sequence[Node]], None]  # is shown a graph, and the objects at its top
@@ -99,7 +100,6 @@ class Frame:
         if shutter.rolling:
             lines = (*lines, "rolling shutter not rendered: each row was looked at over the whole exposure")
         return replace(self, scene=replace(self.scene, shutter=cameras, approximated=lines), moments=shutter.moments)
-
 
     def drawn(self, by: str, everywhere: bool) -> Frame:
         """With what stays for its lines: what is in view, or all. by: what draws lines, "" for nothing."""
@@ -178,7 +178,7 @@ class SceneReader:
             )
         if any(casts_caustics(node.item) for node in graph.order):
             approximated.setdefault(CAUSTICS)
-        approximated |= dict.fromkeys((*shading.approximated, *lines))
+        approximated |= dict.fromkeys((*[DISPLACED][: len(much)], *shading.approximated, *lines))
         to_world = camera.to_world.copy()
         to_world[:, 3] -= placed.origin
         result = Scene(

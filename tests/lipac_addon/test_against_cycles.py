@@ -219,7 +219,10 @@ def test_rough_diffuse_and_coat(stage, tmp_path):
     check(tmp_path, samples=4)
 
 
-def test_transparency(stage, tmp_path):
+@pytest.mark.parametrize("limit", [8, 3, 1])
+def test_transparency(stage, tmp_path, limit):
+    """Up to a limit: what is met behind so many transparent surfaces shows its emission alone."""
+    stage.cycles.transparent_max_bounces = limit
     world((0.3, 0.3, 0.4))
     lamp("SUN", (1, -2, 3), 3, angle=0.1)
     paint("Cube", shader("ShaderNodeBsdfPrincipled", Alpha=0.4, Base_Color=(0.8, 0.2, 0.2, 1)))

@@ -36,6 +36,7 @@ from .trees import (
 HALF = grey(0.5)
 FOG = f": what only lights it or throws shadows into it {WORTHLESS}"
 DARK = 0.15  # share of the places that are at most as bright as what is surely there: fewer fill no tile
+ANY = 1.0  # roughness that stands for normals of which nothing is known, not even that they are near the surface's
 FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding
 
 
@@ -240,7 +241,7 @@ class Converter:
         if source.type != "NORMAL_MAP" or source.space != "TANGENT":
             if source.type not in {"NEW_GEOMETRY", "TEX_COORD"}:
                 self.report(f"{source.bl_label} node on Normal not rendered: half of what is reflected is spread")
-                self._spread = max(self._spread, UNKNOWN)
+                self._spread = max(self._spread, UNKNOWN if source.type == "BUMP" else ANY)
             return
         value = self.reader.value(source.inputs["Color"])
         if self.reader.flat(value) is not value:

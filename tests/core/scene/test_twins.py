@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.options import CullOptions
+from lipac.core.error_budget.budget import Budget
 from lipac.core.scene.twins import Twins
 
 from .. import scenes
@@ -34,3 +36,23 @@ def test_both_of_two_coincident_things_stay() -> None:
     placement = [(1, scenes.placed((0, 0, 0), 40.0), 0), (0, seen, 0), (2, seen, 0), (0, unseen, 0), (0, unseen, 0)]
     scene = scenes.build([scenes.cube(), scenes.quad(), scenes.cube()], placement)
     assert analyze(scene, CullOptions()).active.tolist() == [True, True, True, False, False]
+
+
+def test_what_is_placed_alike_is_told_from_what_crosses() -> None:
+    """Two upright cards that cross have one box; a card and its copy, which any mesh may be, lie in one place."""
+    turn = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0]], np.float32)
+    cards = [scenes.placed((x, 0, 0)) for x in (0, 0, 5, 9)]
+    scene = scenes.build([scenes.cube(), scenes.cube()], [(k % 2, place, 0) for k, place in enumerate([*cards, turn])])
+    assert Twins().rows(scene.instances).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("copies", [1, 2])
+def test_what_lies_in_one_place_stays_where_paths_meet_it(copies: int) -> None:
+    """Small dark things on a ground go; with a copy of each in its place they stay, and a warning says why."""
+    places = [scenes.placed((0.7 * k - 2, 0.5 * (k % 3), 0.2), 0.2) for k in range(8)]
+    scene = scenes.build(
+        [scenes.cube(), scenes.quad()], [(1, scenes.placed((0, 0, 0), 40.0), 0), *((0, p, 0) for p in places * copies)]
+    )
+    result = analyze(scene, CullOptions(max_error=Budget(0.1, 0.9)))
+    assert result.active.all() == (copies > 1) and result.active[0]
+    assert any(line.startswith("surfaces of several objects") for line in result.warnings) == (copies > 1)

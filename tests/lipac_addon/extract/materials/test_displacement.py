@@ -13,6 +13,7 @@ from lipac.core.scene.mesh import Mesh
 from lipac.core.scene.model import Shader
 from lipac.lipac_addon.extract import Extractor, extract_frame
 from lipac.lipac_addon.extract.materials.displacement import Relief, relief_of, shells
+from lipac.lipac_addon.extract.scene import DISPLACED
 
 from ..conftest import add, cube
 from .test_converter import Tree, image
@@ -162,9 +163,9 @@ def test_boxes_and_meshes_of_displaced_objects(rock: Tree) -> None:
         [1, 5],
         [3, 3],  # by more than a quarter of its diagonal
     )
-    assert scene.approximated == (
-        "material m: displacement taken for two surfaces, at its lowest and its highest: half of the rays pass each",
-    )
+    line = "material m: displacement taken for two surfaces, at its lowest and its highest: half of the rays pass each"
+    assert scene.stays is not None and scene.stays.all()
+    assert scene.approximated == (DISPLACED, line)
     for method, whole, line in (
         ("BUMP", True, "material m: bump not rendered: half of what is reflected is spread"),
         ("BOTH", False, "material m: displacement not rendered"),
