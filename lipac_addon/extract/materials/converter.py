@@ -15,6 +15,7 @@ from .ranges import glow_of, most_of, range_of, scatters
 from .reader import LUMINANCE, MEAN, WORTHLESS, Reader, Value, grey
 from .textures import TextureTable
 from .trees import (
+    ANY,
     UNKNOWN,
     Tree,
     black,
@@ -36,7 +37,6 @@ from .trees import (
 HALF = grey(0.5)
 FOG = f": what only lights it or throws shadows into it {WORTHLESS}"
 DARK = 0.15  # share of the places that are at most as bright as what is surely there: fewer fill no tile
-ANY = 1.0  # roughness that stands for normals of which nothing is known, not even that they are near the surface's
 FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from ....core.arrays import Records
 from ....core.scene.model import VIEWS, RayType, Shader, Unsure, default_material
 
+ANY = np.inf  # stands for normals of which nothing is known, not even that they are near the surface's
 UNKNOWN = 0.5  # roughness that stands for bumps: it spreads what is reflected over some 30 degrees
 
 
@@ -104,13 +105,24 @@ def opaque_to_shadows(tree: Tree) -> Tree:
 
 def spread(tree: Tree, roughness: float) -> Tree:
     """The material, where its normals turn by what is not followed: half as it is, half as if it were so rough, so that
-    both what a smooth surface reflects and what is around it is seen. What is as rough anyway stays as it is."""
+    both what a smooth surface reflects and what is around it is seen. What is as rough anyway stays as it is. Of what
+    shows nothing but what it reflects or refracts, by normals of which nothing is known (ANY), half is sure."""
     rough = copied(tree)
     for leaf in leaves(rough):
-        leaf["roughness"], leaf["roughness_texture"] = max(float(leaf["roughness"]), roughness), -1
+        if roughness == ANY and leaf["roughness"] < UNKNOWN and _mirrors(leaf):
+            mark(leaf, Unsure.LIGHT)
+        leaf["roughness"], leaf["roughness_texture"] = max(float(leaf["roughness"]), min(roughness, 1.0)), -1
         if leaf["coat"] > 0:
-            leaf["coat_roughness"] = max(float(leaf["coat_roughness"]), roughness)
+            leaf["coat_roughness"] = max(float(leaf["coat_roughness"]), min(roughness, 1.0))
     return tree if key_of(rough) == key_of(tree) else mixed(tree, rough)
+
+
+def _mirrors(record: Records) -> bool:
+    """Whether a material shows nothing but what it reflects or refracts."""
+    return bool(
+        int(record["shader"]) in (Shader.GLOSSY, Shader.GLASS, Shader.REFRACTION)
+        or (record["shader"] == Shader.PRINCIPLED and max(record["metallic"], record["transmission"]) > 0)
+    )
 
 
 def copied(tree: Tree) -> Tree:

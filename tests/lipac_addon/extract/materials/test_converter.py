@@ -175,6 +175,18 @@ def test_bumps_spread_half_of_what_is_reflected(kind: str) -> None:
     assert sorted(sharp["roughness"].tolist()) == pytest.approx([0.05, 0.5])
 
 
+@pytest.mark.parametrize(("kind", "sure"), [("ShaderNodeBsdfAnisotropic", 1), ("ShaderNodeBsdfPrincipled", 2)])
+def test_normals_of_which_nothing_is_known_spread_all_around(kind: str, sure: int) -> None:
+    """A mirror by a Bevel node may show anything: half of that is not what changes are relative to."""
+    t = Tree()
+    shader = t.new(kind, {"Roughness": 0.05, "Normal": t.new("ShaderNodeBevel").outputs[0]})
+    records, _, lines = t.parts(shader)
+    assert lines == ["material m: Bevel node on Normal not rendered: half of what is reflected is spread"]
+    parts = records[records["shader"] != Shader.MIX]
+    assert sorted(parts["roughness"].tolist()) == pytest.approx([0.05, 1.0])
+    assert np.count_nonzero(parts["unsure"] == 0) == sure
+
+
 def test_bumps_of_what_is_rough_change_nothing() -> None:
     for kind in ("ShaderNodeBsdfDiffuse", "ShaderNodeBsdfPrincipled"):
         t = Tree()
