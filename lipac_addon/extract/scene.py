@@ -33,6 +33,7 @@ from .graph_items import Node, casts_caustics, linked_materials
 from .instances import Placed, Placer
 from .lights import place_lamps
 from .materials.displacement import Relief
+from .materials.material_table import PICKED
 from .materials.ranges import FARTHEST
 from .materials.reader import WORTHLESS
 from .materials.shaders import PORTAL
@@ -212,7 +213,7 @@ class SceneReader:
             for n in nodes
             if n.kind == Kind.GEOMETRY_NODES and n.geometry is not None
         }
-        keys = Keys(placed.rows.records, tuple(graph.names))
+        keys, result = Keys(placed.rows.records, tuple(graph.names)), _emitters_stay(result)
         return Frame(result, placed, shading, deformed, replaced, keys, tuple(warnings), scatters, (), names)
 
     def finish(self, frame: Frame, world: ExtractedWorld) -> Extraction:
@@ -323,6 +324,18 @@ def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, N
         bounds = placed.rows.bounds
         box = np.stack((bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0))).astype(np.float64)
     return place_lamps(lamps, approximated.setdefault, warnings.setdefault, box)
+
+
+def _emitters_stay(scene: Scene) -> Scene:
+    """The scene, where what emits stays if how bright some of it is depends on what else is picked: light sampling and
+    rays then share what neither of them alone sees."""
+    if not any(line.endswith(PICKED) for line in scene.approximated):
+        return scene
+    from ...core.tracing.lights.lights import emissive_instances
+
+    stays = np.zeros(len(scene.instances), bool) if scene.stays is None else scene.stays.copy()
+    stays[emissive_instances(scene)] = True
+    return replace(scene, stays=stays)
 
 
 def _stand_in(scene: Any) -> bool:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....core.arrays import Records
-from ....core.scene.model import VIEWS, Shader, Unsure, default_material
+from ....core.scene.model import VIEWS, RayType, Shader, Unsure, default_material
 from . import nodes, shaders
 from .converter import Converter
 from .displacement import Relief, relief_of
@@ -46,6 +46,7 @@ from .trees import (
 # Where a pattern's dark parts are darker than so much of its mean, half of what it shows is sure: a tile may hold dark
 # parts alone, and with them twice as much of what lies on these as the pattern has there
 DARKER = 0.25
+PICKED = "emission that light sampling sees otherwise than rays not rendered as Cycles weighs it; all that emits stays"
 Colors = Mapping[str | None, Sequence[Sequence[float]]]
 BY_OBJECT = {"OBJECT_INFO", "ATTRIBUTE"}
 LIGHT_LOOP = {
@@ -126,7 +127,8 @@ class MaterialTable:
             tree = material.node_tree  # only the active output is inlined, and that one may be EEVEE's
         self.by_object |= any(node.type in BY_OBJECT for node in tree.nodes)
         name = material.name_full
-        out = convert_tree(tree, self.textures, report, self.most, lambda: _rows(self._colors().get(name)))
+        picked = self.most and material.cycles.emission_sampling != "NONE"
+        out = convert_tree(tree, self.textures, report, self.most, lambda: _rows(self._colors().get(name)), picked)
         if any(leaf["sure"] < DARKER for leaf in leaves(out)):
             out = half_sure(out)
         if loops:  # the constants in its place may be shares of anything
@@ -188,8 +190,10 @@ def convert_tree(
     report: Callable[[str], None],
     most: bool = True,
     objects: Callable[[], NDArray[np.float64]] = no_objects,
+    picked: bool = False,
 ) -> Tree:
-    """The material of an inlined shader tree. most: as of `MaterialTable`; objects: as of `Reader`."""
+    """The material of an inlined shader tree. most: as of `MaterialTable`; objects: as of `Reader`; picked: what emits
+    is picked by light sampling."""
     output = tree.get_output_node("CYCLES")
     if output is None:
         return black()
@@ -203,13 +207,26 @@ def convert_tree(
     if not asked:
         return out
     distinct: dict[bytes, tuple[Tree, int]] = {}
+    glows: dict[bool, set[tuple[bytes, ...]]] = {False: set(), True: set()}  # of either side
     for k, (back, ray) in enumerate(product((False, True), range(VIEWS))):
         seen, _ = seen_by(View(ray, back))
+        if ray not in (RayType.CAMERA, RayType.SHADOW):
+            glows[back].add(_glow(seen))
         key = key_of(seen)
         distinct[key] = seen, distinct.get(key, (seen, 0))[1] | 1 << k
+    if picked and any(len(glow) > 1 for glow in glows.values()):
+        report(PICKED)
     (out, _), *others = distinct.values()
     for seen, rays in others:
         head = default_material()
         head["shader"], head["rays"] = Shader.BY_RAY, rays
         out = Composed(head, out, seen)
     return out
+
+
+def _glow(tree: Tree) -> tuple[bytes, ...]:
+    """What tells apart how a material emits; nothing where it does not."""
+    glowing = [leaf for leaf in leaves(tree) if leaf["emission"].any()]
+    parts = [(leaf["emission"], leaf["emission_texture"]) for leaf in glowing]
+    parts += [(head["alpha"], head["alpha_texture"]) for head in heads(tree) if glowing]
+    return tuple(np.asarray(value).tobytes() for part in parts for value in part)

@@ -24,7 +24,7 @@ from lipac.core.scene.model import (
 from lipac.lipac_addon import attributes
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.extract.materials.converter import DARK
-from lipac.lipac_addon.extract.materials.material_table import MaterialTable
+from lipac.lipac_addon.extract.materials.material_table import PICKED, MaterialTable
 from lipac.lipac_addon.extract.materials.ranges import FARTHEST
 from lipac.lipac_addon.extract.materials.reader import ANGLES, LUMINANCE
 from lipac.lipac_addon.extract.materials.textures import TextureTable, srgb_to_linear
@@ -185,6 +185,35 @@ def test_normals_of_which_nothing_is_known_spread_all_around(kind: str, sure: in
     parts = records[records["shader"] != Shader.MIX]
     assert sorted(parts["roughness"].tolist()) == pytest.approx([0.05, 1.0])
     assert np.count_nonzero(parts["unsure"] == 0) == sure
+
+
+@pytest.mark.parametrize(
+    ("output", "sampling", "stays"),
+    [
+        ("Is Diffuse Ray", "AUTO", [True, False]),
+        ("Is Reflection Ray", "FRONT", [True, False]),
+        ("Is Diffuse Ray", "NONE", None),
+        ("Is Camera Ray", "AUTO", None),
+        ("Is Shadow Ray", "AUTO", None),
+    ],
+)
+def test_what_emits_stays_where_light_sampling_sees_other_emission(
+    output: str, sampling: str, stays: list[bool] | None
+) -> None:
+    """Of what rays meet Cycles then drops the share that light sampling would have, which hangs on all emitters."""
+    t = Tree()
+    t.material.cycles.emission_sampling = sampling
+    light, glow = t.new("ShaderNodeLightPath"), t.new("ShaderNodeEmission")
+    mix = t.new("ShaderNodeMixShader", {0: light.outputs[output], 2: glow.outputs[0]})
+    t.tree.links.new(mix.outputs[0], t.output.inputs[0])
+    for name in ("lantern", "stone"):
+        mesh = cube(name)
+        if name == "lantern":
+            mesh.materials.append(t.material)
+        add(name, mesh)
+    scene = extract_frame(bpy.context.scene).scene
+    assert (None if scene.stays is None else scene.stays.tolist()) == stays
+    assert any(line.endswith(PICKED) for line in scene.approximated) == (stays is not None)
 
 
 def test_bumps_of_what_is_rough_change_nothing() -> None:
