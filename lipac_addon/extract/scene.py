@@ -38,13 +38,14 @@ from .materials.ranges import FARTHEST
 from .materials.reader import WORTHLESS
 from .materials.shaders import PORTAL
 from .shading import Shading, ShadingReader, linked_emission, same_array, with_parts
-from .shutter import Shutter, same_camera
+from .shutter import Shutter, exposure, same_camera
 from .world import VIEW, ExtractedWorld, extract_world
 
 # of the diagonal of a mesh's box: displaced by more, it may be anywhere about, where paths pass between its shells
 MUCH = 0.25
 DISPLACED = "displacement by much of a mesh's size not rendered: these meshes stay, and what is within their reach"
 CATCHERS = "shadow catchers: no error bound holds for light, beside shadows, that they show; --verify measures it"
+VELOCITY = f"velocities not rendered: what is seen, lit or shaded by what they blur, elsewhere than it is, {WORTHLESS}"
 CAUSTICS = f"shadow caustics not rendered: what only lights them, or shades them, {WORTHLESS}"
 Look = Callable[[GraphReader, Sequence[Node]], None]  # is shown a graph, and the objects at its top
 
@@ -213,7 +214,7 @@ class SceneReader:
             for n in nodes
             if n.kind == Kind.GEOMETRY_NODES and n.geometry is not None
         }
-        keys, result = Keys(placed.rows.records, tuple(graph.names)), _emitters_stay(result)
+        keys, result = Keys(placed.rows.records, tuple(graph.names)), _staying(result, depsgraph, graph)
         return Frame(result, placed, shading, deformed, replaced, keys, tuple(warnings), scatters, (), names)
 
     def finish(self, frame: Frame, world: ExtractedWorld) -> Extraction:
@@ -326,16 +327,24 @@ def _lights(placed: Placed, approximated: dict[str, None], warnings: dict[str, N
     return place_lamps(lamps, approximated.setdefault, warnings.setdefault, box)
 
 
-def _emitters_stay(scene: Scene) -> Scene:
-    """The scene, where what emits stays if how bright some of it is depends on what else is picked: light sampling and
-    rays then share what neither of them alone sees."""
-    if not any(line.endswith(PICKED) for line in scene.approximated):
+def _staying(scene: Scene, depsgraph: Any, graph: GraphReader) -> Scene:
+    """The scene, where what emits stays if how bright some of it is depends on what else is picked, for light sampling
+    and rays then share what neither of them alone sees; and what is elsewhere while the shutter is open."""
+    picked, lines = any(line.endswith(PICKED) for line in scene.approximated), scene.approximated
+    moving = [mesh for mesh, source in enumerate(graph.geometry.meshes.sources) if source is not None and source.moving]
+    rows = np.isin(scene.instances.mesh, moving) if moving else np.zeros(0, bool)
+    blurred = bool(rows.any()) and exposure(depsgraph.scene_eval, depsgraph.view_layer_eval) is not None
+    if not picked and not blurred:
         return scene
-    from ...core.tracing.lights.lights import emissive_instances
-
     stays = np.zeros(len(scene.instances), bool) if scene.stays is None else scene.stays.copy()
-    stays[emissive_instances(scene)] = True
-    return replace(scene, stays=stays)
+    if picked:
+        from ...core.tracing.lights.lights import emissive_instances
+
+        stays[emissive_instances(scene)] = True
+    if blurred:
+        stays |= rows
+        lines = (*lines, VELOCITY)
+    return replace(scene, stays=stays, approximated=lines)
 
 
 def _stand_in(scene: Any) -> bool:

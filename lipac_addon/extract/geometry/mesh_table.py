@@ -13,7 +13,7 @@ from ....core.arrays import F32, F64, I32
 from ....core.scene.mesh import DIVIDED_FROM
 from ..materials.displacement import Relief
 from .fibres import Fibres
-from .meshes import NO_BOUNDS, Loaded, MeshSource, describe, load
+from .meshes import NO_BOUNDS, Loaded, MeshSource, describe, has_velocities, load
 
 
 class MeshTable:
@@ -74,6 +74,7 @@ class MeshTable:
                 self._drop(index)
             self._index[key] = -1
             return -1
+        source.moving = has_velocities(geometry)
         # asked for its mesh it makes one of its own, which outlives the graph and shares its arrays
         source.geometry, _ = kept, kept.mesh
         if index < 0:

@@ -40,7 +40,7 @@ class MeshSource:
     relief: how its materials displace it, in metres of its own space; None where none does. simplifiable: whether all
     objects that show it let it be exchanged for a simplified one; None before one was asked. steps: by how many it can
     be coarser (`lipac_addon.coarsening`), by a setting of the object owner; fixed: why that must stay.
-    fibres: what is rendered beside its faces.
+    fibres: what is rendered beside its faces. moving: whether it brings velocities, by which Cycles blurs it.
     loaded: what was read of it last, to tell what of it changes. ready: the mesh, where it was read already, for the
     first who asks. spare: another GeometrySet of the same: what Blender copies of one that is read goes with that.
     """
@@ -62,6 +62,7 @@ class MeshSource:
     owner: str = ""
     fixed: str = ""
     fibres: Fibres | None = None
+    moving: bool = False
 
     @property
     def plain(self) -> bool:
@@ -180,6 +181,15 @@ def describe(geometry: Any, name: str, fibres: Fibres | None = None) -> MeshSour
         return MeshSource(geometry, name, box, slots, False, fibres=fibres)
     both = np.stack((np.minimum(source.bounds[0], box[0]), np.maximum(source.bounds[1], box[1])))
     return replace(source, bounds=both, slot_count=max(source.slot_count, slots), fibres=fibres)
+
+
+def has_velocities(geometry: Any) -> bool:
+    """Whether something in a GeometrySet says by an attribute where it is while the shutter is open."""
+    for data in (geometry.mesh, geometry.pointcloud, geometry.curves):
+        attribute = None if data is None else data.attributes.get("velocity")
+        if attribute is not None and (attribute.domain, attribute.data_type) == ("POINT", "FLOAT_VECTOR"):
+            return bool(read(attribute.data, "vector", len(attribute.data), 3).any())
+    return False
 
 
 def _faces(geometry: Any, name: str) -> MeshSource | None:

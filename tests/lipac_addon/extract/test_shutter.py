@@ -15,6 +15,7 @@ from lipac.lipac_addon.batch.job import Job
 from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.depsgraph import go_to
 from lipac.lipac_addon.extract import Extractor, extract_frame
+from lipac.lipac_addon.extract.scene import VELOCITY
 from lipac.lipac_addon.extract.shutter import CAMERAS, Passing, of_more_steps
 from lipac.lipac_addon.keys import any_of
 
@@ -205,3 +206,19 @@ def test_what_moves_along_more_places_stays(exposed: Any) -> None:
     assert of_more_steps(extraction.keys)[extraction.keys.records["object"]].all()
     blade.cycles.motion_steps = 1
     assert not of_more_steps(extraction.keys).any()
+
+
+@pytest.mark.parametrize(("speed", "blur", "stays"), [(9.0, True, True), (0.0, True, False), (9.0, False, False)])
+def test_what_velocities_blur_stays_and_is_said(exposed: Any, speed: float, blur: bool, stays: bool) -> None:
+    """Simulations and caches bring velocities: where a mesh is while the shutter is open, no moment shows."""
+    exposed.render.use_motion_blur = blur
+    mesh = cube("splash")
+    mesh.attributes.new("velocity", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", np.full(24, speed, np.float32))
+    add("splash", mesh)
+    extraction = extract_frame(exposed)
+    assert any(line == VELOCITY for line in extraction.warnings) == stays
+    names = [extraction.keys.names[n] for n in extraction.keys.records["object"]]
+    found = extraction.scene.stays
+    assert ([] if found is None else [name for name, stay in zip(names, found, strict=True) if stay]) == (
+        ["splash"] if stays else []
+    )
