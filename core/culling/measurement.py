@@ -96,7 +96,8 @@ def known_share(scene: Scene, known: F32, picture: F32) -> F64:
     """(T,) what share of the light of each tile of a picture is surely there. known: the same picture, without light of
     which nobody knows whether it is (`core.scene.known_light`)."""
     share = tile_means(known) / np.maximum(tile_means(picture), 1e-30)
-    if (scene.lights["unsure"] & 2).any():  # what lamps take away is no more than all that is not known
+    # what lamps and materials take away is no more than all that is not known
+    if (scene.lights["unsure"] & 2).any() or (scene.materials["unsure_emission"] & 2).any():
         share = 2 * share - 1
     return np.asarray(np.clip(share, 0.0, 1.0))
 

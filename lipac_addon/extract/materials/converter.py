@@ -219,7 +219,8 @@ class Converter:
         return self.reader.map(lambda x, y: x * y, a, b)
 
     def emit(self, record: Records, color: Any, strength: Any) -> None:
-        """Emission, from sockets of its colour and its strength; where it is not known, the most that it may be."""
+        """Emission, from sockets of its colour and its strength; where it is not known, the most that it may be. What
+        takes light away gives as much."""
         before = self.reader.doubts
         s = self.reader.value(strength)
         if self.reader.doubts == before and s.use is None and s.scalar == 0.0:
@@ -231,6 +232,12 @@ class Converter:
             c = grey(max(most_of(color), 0.0)) if self.reader.doubts > between else c
             record["unsure_emission"] = 1
         self.color(record, "emission", self.product(c, s))
+        takes = (record["emission"] < 0).any() or -np.inf < range_of(strength)[0] < 0
+        if self.most and takes:
+            self.report("that it takes light away is not rendered: it gives as much")
+            least = abs(min(range_of(strength)[0], 0.0)) if record["unsure_emission"] else 0.0
+            record["emission"] = np.maximum(np.abs(record["emission"]), least * np.abs(c.factor))
+            record["unsure_emission"] = 2
 
     def normal(self, record: Records, node: Any) -> None:
         """What is linked to a node's Normal: a tangent space normal map is followed."""

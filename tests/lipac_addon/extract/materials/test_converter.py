@@ -458,6 +458,18 @@ def test_emission_that_is_not_known_is_the_most_that_it_may_be(kind: str, output
     assert (record["emission"][0], record["unsure_emission"]) == (1.0, 0)
 
 
+def test_emission_that_takes_light_away_gives_as_much() -> None:
+    """None of it is sure, and it may take as much: a constant, and what lies between -8 and 2."""
+    t = Tree()
+    noise = t.new("ShaderNodeTexNoise").outputs[0]
+    either = t.new("ShaderNodeMapRange", {0: noise, 3: -8.0, 4: 2.0}).outputs[0]
+    for strength, most in ((-3.0, 3.0), (either, 8.0)):
+        record, _, lines = t.record(t.new("ShaderNodeEmission", {"Color": (1, 0.5, 0, 1), "Strength": strength}))
+        np.testing.assert_allclose(record["emission"], most * np.array([1, 0.5, 0]))
+        assert record["unsure_emission"] == 2
+        assert "material m: that it takes light away is not rendered: it gives as much" in lines
+
+
 @pytest.mark.parametrize("kind", ["ShaderNodeBsdfPrincipled", "ShaderNodeSubsurfaceScattering"])
 def test_light_goes_through_subsurface(kind: str) -> None:
     """Half of its share comes out at the other side: a flame within wax is seen."""
