@@ -93,6 +93,17 @@ def _doubt(record: Records, field: str, socket: Any) -> float:
     return 0.0
 
 
+def _takes(record: Records, least: float, color: Value) -> bool:
+    """Have what takes light away give as much. least: of its strength, as far as that is known; color: it goes with."""
+    if not ((record["emission"] < 0).any() or -np.inf < least < 0):
+        return False
+    most = np.abs(record["emission"])
+    if record["unsure_emission"]:
+        most = np.maximum(most, max(-least, 0.0) * np.abs(color.factor))
+    record["emission"], record["unsure_emission"] = most, 2
+    return True
+
+
 def _lost(textures: TextureTable, value: Value) -> float:
     """Roughness that stands for what a map of normals has lost by being reduced: the shorter the mean of unit
     vectors, the more they differ (Toksvig, "Mipmapping Normal Maps", 2005); GGX's alpha is the root of twice the
@@ -219,8 +230,7 @@ class Converter:
         return self.reader.map(lambda x, y: x * y, a, b)
 
     def emit(self, record: Records, color: Any, strength: Any) -> None:
-        """Emission, from sockets of its colour and its strength; where it is not known, the most that it may be. What
-        takes light away gives as much."""
+        """Emission, from sockets of its colour and its strength; where it is not known, the most that it may be."""
         before = self.reader.doubts
         s = self.reader.value(strength)
         if self.reader.doubts == before and s.use is None and s.scalar == 0.0:
@@ -232,12 +242,8 @@ class Converter:
             c = grey(max(most_of(color), 0.0)) if self.reader.doubts > between else c
             record["unsure_emission"] = 1
         self.color(record, "emission", self.product(c, s))
-        takes = (record["emission"] < 0).any() or -np.inf < range_of(strength)[0] < 0
-        if self.most and takes:
+        if self.most and _takes(record, range_of(strength)[0], c):
             self.report("that it takes light away is not rendered: it gives as much")
-            least = abs(min(range_of(strength)[0], 0.0)) if record["unsure_emission"] else 0.0
-            record["emission"] = np.maximum(np.abs(record["emission"]), least * np.abs(c.factor))
-            record["unsure_emission"] = 2
 
     def normal(self, record: Records, node: Any) -> None:
         """What is linked to a node's Normal: a tangent space normal map is followed."""
