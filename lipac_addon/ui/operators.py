@@ -142,7 +142,8 @@ class LIPAC_OT_apply(Explained, bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         applied = applying.apply(context.scene, results.of(context.scene)[context.scene.frame_current])
-        self.report({"INFO"}, f"Hidden from renders: {int(applied.removed.sum()):,} instances")
+        faces = f", {applied.faces_removed:,} faces of others" if applied.faces_removed else ""
+        self.report({"INFO"}, f"Hidden from renders: {int(applied.removed.sum()):,} instances{faces}")
         for line in applying.notes:
             self.report({"WARNING"}, line)
         return {"FINISHED"}

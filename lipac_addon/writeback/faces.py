@@ -20,7 +20,7 @@ NAME = f"{mask.NAME} of faces"
 
 def add(ob: bpy.types.Object, culled: NDArray[np.bool_]) -> None:
     """Append the modifier that deletes the faces culled (F,) bool, by their numbers behind the other modifiers, from
-    renders; those beyond F stay."""
+    renders, as long as there are F of them: an edit that adds or removes some numbers them anew."""
     group = next((g for g in bpy.data.node_groups if mask.is_ours(g) and g.name.startswith(NAME)), None) or _new_group()
     mask.append(ob, group, NAME, {"Mask": mask.mask_object(culled, None)})
 
@@ -39,6 +39,16 @@ def _new_group() -> bpy.types.NodeTree:
         **sampled,
     )
     geometry = inputs.outputs["Geometry"]
+    sizes = [
+        next(
+            s
+            for s in nodes.new("GeometryNodeAttributeDomainSize", {"Geometry": of}, component="MESH").outputs
+            if s.name == name
+        )
+        for of, name in ((points, "Point Count"), (geometry, "Face Count"))
+    ]
+    same = nodes.field("FunctionNodeCompare", {"A": sizes[0], "B": sizes[1]}, data_type="INT", operation="EQUAL")
+    goes = nodes.both("AND", goes, same)
     smooth = nodes.field("GeometryNodeInputShadeSmooth")
     some = nodes.field(
         "GeometryNodeAttributeStatistic",

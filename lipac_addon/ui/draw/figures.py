@@ -49,6 +49,11 @@ def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
         ("Instances", f"{total:,}"),
         ("Active", f"{active:,} ({100 * active / max(total, 1):.1f} %)"),
         *([("Pending", f"{int(stats['pending']):,}")] if stats["pending"] else []),
+        *(
+            [("Parts of meshes", f"{int(stats['parts_active']):,} of {int(stats['parts']):,}")]
+            if "parts" in stats
+            else []
+        ),
         ("Stand-in boxes", f"{int(stats['hitboxes']):,}"),
         ("BVH memory", size(stats["blas_bytes"] + stats["tlas_bytes"])),
     ]

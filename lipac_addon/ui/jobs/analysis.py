@@ -17,7 +17,7 @@ from ....core.files.memory_table import merged
 from ... import roles
 from ...depsgraph import rendered_layers
 from ...keys import any_of
-from ..state import applying, props, results, scatters, session
+from ..state import applying, props, results, scatters, session, topology
 from . import engine
 from .background import AskedMeshes, in_thread
 from .certifying import certify
@@ -25,6 +25,7 @@ from .job import Job
 
 if TYPE_CHECKING:
     from ....core.arrays import Records
+    from ....core.culling.options import CullOptions
     from ....core.culling.shot import Shot
     from ...extract import Extraction, Extractor
     from ...extract.graph import GraphReader
@@ -136,7 +137,7 @@ class AnalysisJob(Job):
             for k, number in enumerate(self._frames):
                 found[number] = yield from self._analyse(number, k)
             if self._bake and len(found) > 1:
-                options = props.cull_options(self._scene().lipac)
+                options = self._options()
                 yield from certify(found, self._frames, options, self._begin, self._analyse)
         except MemoryError as error:
             raise InputError("the analysis ran out of memory: raise the error budget, or simplify the scene") from error
@@ -146,7 +147,12 @@ class AnalysisJob(Job):
         """Have the frames that follow be analysed each by itself."""
         from ....core.culling.shot import Shot
 
-        self._shot = Shot(props.cull_options(self._scene().lipac), independent=True)
+        self._shot = Shot(self._options(), independent=True)
+
+    def _options(self) -> CullOptions:
+        """Of the analysis. By parts where no frame begins with the last one's, for which meshes would have to be whole
+        again."""
+        return props.cull_options(self._scene().lipac, parts=self._bake or len(self._frames) == 1)
 
     def _analyse(
         self, number: int, k: int, how: Asked | None = None, doing: str = ""
@@ -169,7 +175,7 @@ class AnalysisJob(Job):
             yield
         scene, self._set_frame = self._scene(), number
         extraction = self._extract(scene, number)
-        shot = self._shot = self._shot or Shot(props.cull_options(scene.lipac))
+        shot = self._shot = self._shot or Shot(self._options(), independent=self._bake)
         needed = yield from self._exposed(shot, extraction, number, how)
         if needed:
             extraction = self._extract(scene, number)
@@ -193,7 +199,8 @@ class AnalysisJob(Job):
         self._check()
         memory = tuple(merged(Weighed.of(extraction, result, number, scene).rows()))
         found = results.FrameResult.of(number, extraction, uids, result, pinned)
-        return replace(found, prints=prints, memory=memory, futile=self.note)
+        shapes = topology.digests_of(found.faces)
+        return replace(found, prints=prints, shapes=shapes, memory=memory, futile=self.note)
 
     def _exposed(
         self, shot: Shot, extraction: Extraction, number: int, how: Asked | None
@@ -238,7 +245,7 @@ class AnalysisJob(Job):
         from ...memory.stakes import stakes_of, why
 
         scene, spent = self._scene(), time.perf_counter() - start
-        options = props.cull_options(scene.lipac)
+        options = self._options()
         stakes = stakes_of(reader, nodes, scene, options, scene.cycles.samples, len(self._frames), spent)
         if stakes is not None and stakes.nothing_to_win:
             self.note = f"Nothing can be won: {why(stakes)}"

@@ -60,7 +60,8 @@ def certify(
             if not turn:
                 found[number] = yield from analyse(number, k, lambda *_: decide_closer)
             else:
-                found[number] = replace(found[number], state=np.full_like(found[number].state, results.ACTIVE))
+                all_stays = np.full_like(found[number].state, results.ACTIVE)
+                found[number] = replace(found[number], state=all_stays, faces={})
     few = ", ".join(map(str, failing[:5])) + (f" and {len(failing) - 5} more" if len(failing) > 5 else "")
     line = f"What is baked is not certified in frames {few}: Render Difference tells what is missing there"
     found |= {number: replace(found[number], warnings=(line, *found[number].warnings)) for number in failing}

@@ -13,14 +13,15 @@ from ... import roles, writeback
 from ...keys import Kind
 from ...writeback.marks import COARSER, EMPTIED, HIDDEN, MASKED, PARTICLES, SIMPLIFIED, all_marks, culled_libraries
 from ...writeback.references import scenes_in_picture
-from . import results, scatters, session
+from . import results, scatters, session, topology
 from .results import FrameResult
 
 CHANGED = "their scatter has changed since the analysis: analyze again"
+RESHAPED = "their mesh has changed since the analysis: analyze again"
 MULTI_VIEW = "Stereoscopy renders from several cameras, of which only one is analyzed: switch it off"
 _COUNTED = (  # words of marks, and what to say of so many
     (HIDDEN, "objects"),
-    (MASKED, "scatters in part"),
+    (MASKED, "scatters or meshes in part"),
     (PARTICLES, "particle systems"),
     (EMPTIED, "sources"),
     (SIMPLIFIED, "meshes, simplified"),
@@ -66,10 +67,18 @@ def apply(
         if scene.render.use_motion_blur
         else {name: result.scatters[uid] for name, uid in _names(result, keys.names) if uid in result.scatters}
     )
-    applied = writeback.apply(culled & ~changed, keys, rows, scene=scene, lasting=not in_render, in_render=in_render)
+    faces, reshaped = _faces(result, keys.names)
+    applied = writeback.apply(
+        culled & ~changed, keys, rows, scene=scene, lasting=not in_render, in_render=in_render, faces=faces
+    )
     if changed.any():
         applied.kept[CHANGED] = int(changed.sum())
-    notes = tuple(f"{count:,} culled instances stay in renders: {why}" for why, count in applied.kept.items())
+    if reshaped:
+        applied.whole[RESHAPED] = reshaped
+    notes = (
+        *(f"{count:,} culled instances stay in renders: {why}" for why, count in applied.kept.items()),
+        *(f"{count:,} objects keep all faces in renders: {why}" for why, count in applied.whole.items()),
+    )
     settings = scene.lipac
     settings.in_render, settings.applied = in_render, not in_render
     if not in_render:
@@ -229,6 +238,16 @@ def _status(scene: bpy.types.Scene) -> tuple[str, bool]:
 
 def _names(result: FrameResult, names: tuple[str, ...]) -> list[tuple[str, int]]:
     return [(name, uid) for name, uid in zip(names, result.uids.tolist(), strict=True) if name]
+
+
+def _faces(result: FrameResult, names: tuple[str, ...]) -> tuple[dict[str, np.ndarray], int]:
+    """By the name of an object, (F,) bool, faces of it that stay; and of how many objects nothing is known any more,
+    for they were edited."""
+    marked = {ob.session_uid for ob in roles.marked(roles.PIN, roles.IGNORE)}
+    wanted = {uid: mask for uid, mask in result.faces.items() if uid not in marked}
+    now = topology.digests_of(wanted)
+    same = {uid for uid, digest in now.items() if digest == result.shapes.get(uid)}
+    return {name: wanted[uid] for name, uid in _names(result, names) if uid in same}, len(now) - len(same)
 
 
 def _of_changed(scene: bpy.types.Scene, result: FrameResult) -> np.ndarray:

@@ -209,8 +209,9 @@ def own_setting(settings: LipacSettings) -> float | None:
     return None if own is None else float(getattr(settings, own.name))
 
 
-def cull_options(settings: LipacSettings) -> CullOptions:
-    """The options of the analysis that the settings ask for; loads the engine."""
+def cull_options(settings: LipacSettings, parts: bool = False) -> CullOptions:
+    """The options of the analysis that the settings ask for; loads the engine. parts: large meshes are culled by
+    parts."""
     from ....core.culling.options import CullOptions
     from ....core.error_budget.budget import Budget
 
@@ -223,6 +224,7 @@ def cull_options(settings: LipacSettings) -> CullOptions:
         seed=settings.seed,
         threads=preferences.get().threads,
         blas_budget_bytes=int(preferences.get().memory * preferences.GIB),
+        parts=parts,
     )
 
 

@@ -48,7 +48,8 @@ class FrameResult:
     state: (N,) uint8; score: (N,) float32; hits: (N, RAY_TYPES) int64; bounds: (N, 2, 3), regions: (H, 2, 3) float32
     boxes, `origin` (3,) float64 to be added. stats: figures as in report.json. warnings: lines for the user. Of objects
     that instance by geometry nodes, by their uids: scatters, (R, 3) float32, where their rows are, in their own space;
-    prints: digests of what the viewport showed of them. memory: who takes the memory of a render, as of memory.csv.
+    prints: digests of what the viewport showed of them. By the uids of objects that stay in part: faces, (F,) bool,
+    those that do; shapes: digests as of `topology`. memory: who takes the memory of a render, as of memory.csv.
     tiles: (TILES,) float32, by how much each tile of the picture changes at most, where that is certified. futile: why
     culling can save less of a render than the analysis took, "" where it may save more, or that is not known.
     """
@@ -66,6 +67,8 @@ class FrameResult:
     warnings: tuple[str, ...]
     scatters: dict[int, F32] = field(default_factory=dict)
     prints: dict[int, bytes] = field(default_factory=dict)
+    faces: dict[int, NDArray[np.bool_]] = field(default_factory=dict)
+    shapes: dict[int, bytes] = field(default_factory=dict)
     memory: tuple[MemoryRow, ...] = ()
     tiles: F32 | None = None
     futile: str = ""
@@ -87,9 +90,11 @@ class FrameResult:
         scatters = {
             uid_of[name]: rows.copy() for name, rows in extraction.scatters.items() if uid_of.get(name, -1) >= 0
         }
+        of_row = uids[keys.records["object"]]
+        faces = {int(of_row[row]): mask for row, mask in getattr(result, "faces", {}).items() if of_row[row] >= 0}
         return FrameResult(
             frame, keys, uids, state, result.score, result.hits, bounds, result.boxes, scene.origin, stats, lines,
-            scatters, tiles=getattr(result, "tiles", None)
+            scatters, faces=faces, tiles=getattr(result, "tiles", None)
         )
 
     @property
@@ -182,8 +187,11 @@ def union(frames: Collection[FrameResult]) -> FrameResult:
     nothing, boxes = np.zeros(0, np.float32), np.zeros((0, 2, 3), np.float32)
     last = next(reversed(list(frames)))
     keys = Keys(shot.keys.records, tuple(name_of[tag] for tag in shot.keys.names))
+    faces = {int(tag.split()[0]): mask for tag, mask in shot.faces.items()}
+    shapes = {uid: digest for frame in frames for uid, digest in frame.shapes.items()}
     return FrameResult(
-        last.frame, keys, uids, state, nothing, np.zeros((0, len(RAYS)), np.int64), boxes, boxes, last.origin, {}, ()
+        last.frame, keys, uids, state, nothing, np.zeros((0, len(RAYS)), np.int64), boxes, boxes, last.origin, {}, (),
+        faces=faces, shapes=shapes
     )
 
 
@@ -195,7 +203,8 @@ def shot_set(frames: Iterable[FrameResult]) -> ShotSet:
     shot = ShotSet()
     for frame in frames:
         columns = {name: frame.keys.records[name] for name in ("kind", "host", "object", "path")}
-        shot.add(States(frame.state, frame.score, frame.hits, columns, _tags(frame)))
+        faces = {str(uid): mask for uid, mask in frame.faces.items()}
+        shot.add(States(frame.state, frame.score, frame.hits, columns, _tags(frame), faces=faces))
     return shot
 
 
