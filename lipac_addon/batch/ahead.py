@@ -1,4 +1,5 @@
-"""Analysis in a process of its own, which goes on with the next frames while one is rendered here."""
+"""Analysis in a process of its own, which goes on with the next frames while one is rendered here. It may begin before
+Blender is loaded, which is not loaded here."""
 
 from __future__ import annotations
 
@@ -8,18 +9,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...core.errors import Cancelled, InputError
 from ...core.files.atomic import replacing
 from ...core.files.memory_table import MemoryRow, read_rows
 from ...core.files.report import UNREADABLE, States, load_states
-
-if TYPE_CHECKING:
-    from .job import Cancel  # which loads Blender: this process may be begun before that
 
 TICK = 0.02  # seconds between looks at what the process has done
 # What the process runs: the command line. Where whoever waits for it is killed, its input ends: so does it then, and
@@ -79,7 +77,7 @@ class Ahead:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def wait(self, cancelled: Cancel) -> None:
+    def wait(self, cancelled: Callable[[], bool]) -> None:
         """Wait until the process has ended, and with it what it takes."""
         while self._process.poll() is None:
             _pause(cancelled)
@@ -92,7 +90,7 @@ class Ahead:
         self._process.stdin.close()
         self._folder.cleanup()
 
-    def take(self, frame: int, path: Path, cancelled: Cancel) -> Analysed:
+    def take(self, frame: int, path: Path, cancelled: Callable[[], bool]) -> Analysed:
         """What was decided on a frame, once; its states are then at path. `wait_s` of its entry: seconds that it was
         waited for.
 
@@ -111,7 +109,7 @@ class Ahead:
         """Whether the process has."""
         return self._process.poll() is not None
 
-    def go_on(self, ended: bool, what: str, cancelled: Cancel) -> None:
+    def go_on(self, ended: bool, what: str, cancelled: Callable[[], bool]) -> None:
         """Wait for a moment. what: that is waited for. Raises InputError where the process has ended without it,
         Cancelled."""
         if ended:
@@ -155,7 +153,7 @@ class Ahead:
         )
 
 
-def _pause(cancelled: Cancel) -> None:
+def _pause(cancelled: Callable[[], bool]) -> None:
     """A moment. Raises Cancelled."""
     if cancelled():
         raise Cancelled

@@ -137,8 +137,7 @@ class AnalysisJob(Job):
             for k, number in enumerate(self._frames):
                 found[number] = yield from self._analyse(number, k)
             if self._bake and len(found) > 1:
-                options = self._options()
-                yield from certify(found, self._frames, options, self._begin, self._analyse)
+                yield from certify(found, self._frames, self._options(), self._begin, self._analyse)
         except MemoryError as error:
             raise InputError("the analysis ran out of memory: raise the error budget, or simplify the scene") from error
         return found
@@ -150,8 +149,7 @@ class AnalysisJob(Job):
         self._shot = Shot(self._options(), independent=True)
 
     def _options(self) -> CullOptions:
-        """Of the analysis. By parts where no frame begins with the last one's, for which meshes would have to be whole
-        again."""
+        """By parts, where no frame begins with the last one's, for which meshes would have to be whole again."""
         return props.cull_options(self._scene().lipac, parts=self._bake or len(self._frames) == 1)
 
     def _analyse(
