@@ -10,8 +10,8 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ....core.culling.options import State
 from ....core.files.atomic import alone, replacing
-from ....core.files.report import Report, load_states
+from ....core.files.report import Report, States, load_states
 from ....core.progress import Progress, part
 from ...depsgraph import show_frame
 from ..ahead import Ahead
@@ -33,12 +33,33 @@ from .written import Written
 
 @dataclass(frozen=True)
 class Drawn:
-    """A picture that is there. digest: of the set that was judged in its frame; active: (n,) bool, which of the frame's
-    instances it has; entry: for the report."""
+    """A picture that was rendered meanwhile. digest: of the set that was judged in its frame; active: (n,) bool, which
+    of the frame's instances it has; entry: for the report."""
 
     digest: str
     active: NDArray[np.bool_]
     entry: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Meanwhile:
+    """What was done while another process looked for a set: by frame, what was rendered; figures of that process for
+    the report, of each frame."""
+
+    drawn: Mapping[int, Drawn]
+    figures: Mapping[str, Any]
+
+    def of(self, digest: str, shot: ShotSet, checked: Callable[[int], States]) -> Meanwhile:
+        """Only the pictures of a set with a digest. checked: what was judged of a frame."""
+        drawn = {
+            frame: one
+            for frame, one in self.drawn.items()
+            if one.digest == digest and np.array_equal(one.active, shot.of(checked(frame)))
+        }
+        return replace(self, drawn=drawn)
+
+
+NOTHING = Meanwhile({}, {})
 
 
 class Judged:
@@ -76,9 +97,7 @@ class Judged:
         return all(frame in self.held for frame in frames)
 
 
-def render_meanwhile(
-    job: Job, written: Written, report: Report, progress: Progress, cancelled: Cancel
-) -> dict[int, Drawn]:
+def render_meanwhile(job: Job, written: Written, report: Report, progress: Progress, cancelled: Cancel) -> Meanwhile:
     """Render frames of a job until the set of its shot is found; what was found out is then in the job's folder, where
     `Uniting` begins with it. Raises InputError, Cancelled."""
     drawn: dict[int, Drawn] = {}
@@ -107,12 +126,11 @@ def render_meanwhile(
             entry = render(job, frame, within).entry() | {"wait_s": waited}
             drawn[frame] = Drawn(judged.digest, active, entry)
             since = time.perf_counter()
-        _take_over(ahead, job, report)
-    return drawn
+        return Meanwhile(drawn, _taken_over(ahead, job, report))
 
 
-def _take_over(ahead: Ahead, job: Job, report: Report) -> None:
-    """Copy what the process has found out into a job's folder, and say what it says."""
+def _taken_over(ahead: Ahead, job: Job, report: Report) -> dict[str, Any]:
+    """Copy what the process has found out into a job's folder, and say what it says; returns its figures."""
     folder = job.folder / "analysis"
     folder.mkdir(exist_ok=True)
     with alone(job.folder):
@@ -120,7 +138,9 @@ def _take_over(ahead: Ahead, job: Job, report: Report) -> None:
             with replacing(folder / path.name) as part_of_it:
                 shutil.copyfile(path, part_of_it)
     said = ahead.said()
-    if said is not None:
-        report.add_memory(said.memory)
-        report.note(report.approximated, said.approximated)
-        report.note(report.warnings, said.warnings)
+    if said is None:
+        return {}
+    report.add_memory(said.memory)
+    report.note(report.approximated, said.approximated)
+    report.note(report.warnings, said.warnings)
+    return {"analysis_peak_bytes": said.peak}

@@ -4,9 +4,8 @@ does."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
-from types import MappingProxyType
 from typing import Any
 
 import bpy
@@ -26,30 +25,25 @@ from ..engines.path import render_path
 from ..frame import ANALYSIS_SHARE, hybrid, render
 from ..job import Cancel, Job, check
 from ..session import Session, sessions_of
-from .meanwhile import Drawn, render_meanwhile
+from .meanwhile import NOTHING, Meanwhile, render_meanwhile
 from .shot_set import ShotSet
 from .uniting import Uniting, unites
 from .written import Written
 
 TRIES = 3
-NOTHING_DRAWN: Mapping[int, Drawn] = MappingProxyType({})
 
 
 def run_shot(job: Job, finished: set[int], report: Report, progress: Progress, cancelled: Cancel) -> None:
     """Find out what each frame of the shot needs; then do the job's with what any of them does."""
     share, written = ANALYSIS_SHARE if job.engine else 0.9, Written(lasting=job.save is not None)
     if unites(job):
-        drawn: Mapping[int, Drawn] = NOTHING_DRAWN
+        meanwhile = NOTHING
         if job.ahead and not finished and not any((job.folder / "analysis").glob("frame_*")):
-            drawn = render_meanwhile(job, written, report, progress, cancelled)
+            meanwhile = render_meanwhile(job, written, report, progress, cancelled)
         uniting = Uniting(job, report, cancelled)
-        shot = uniting.run(part(progress, 0.0, share) if not drawn else silent)
-        drawn = {
-            frame: one
-            for frame, one in drawn.items()
-            if one.digest == uniting.digest and np.array_equal(one.active, shot.of(uniting.checked(frame)))
-        }
-        _use(job, shot, uniting.states, share, finished, report, progress, cancelled, written, drawn)
+        shot = uniting.run(silent if meanwhile.drawn else part(progress, 0.0, share))
+        meanwhile = meanwhile.of(uniting.digest, shot, uniting.checked)
+        _use(job, shot, uniting.states, share, finished, report, progress, cancelled, written, meanwhile)
         return
     _analyse(job, report, part(progress, 0.0, share), cancelled)
 
@@ -79,10 +73,10 @@ def _use(
     progress: Progress,
     cancelled: Cancel,
     written: Written,
-    drawn: Mapping[int, Drawn] = NOTHING_DRAWN,
+    meanwhile: Meanwhile = NOTHING,
 ) -> None:
     """Do a job's frames with a set. needed: what is known of a frame by itself, with its entry for the report as its
-    note; share: of the progress that is done; drawn: pictures of the set that are there."""
+    note; share: of the progress that is done; meanwhile: of the set."""
     levels = shot.levels if unites(job) else NO_LEVELS  # else they are not certified
     if job.save is not None:
         written.use(shot, levels)
@@ -108,12 +102,12 @@ def _use(
                 "pending": 0,
             }
             if job.engine in BLENDER_ENGINES:
-                if frame not in drawn:
+                there = meanwhile.drawn.get(frame)
+                if there is None:
                     written.use(shot, levels)
                     show_frame(bpy.context.scene, frame)
-                there = drawn.get(frame)
                 entry |= render(job, frame, within).entry() if there is None else there.entry
-                entry |= written.entry(len(job.frames))
+                entry |= {**written.entry(len(job.frames)), **meanwhile.figures}
             elif job.engine:
                 _render_kept(session, frame, active, entry, within, cancelled)
             state = np.where(active, State.ACTIVE, State.CULLED).astype(np.uint8)

@@ -157,6 +157,7 @@ def test_by_the_command(boxes: Any, tmp_path: Path) -> None:
     ]
     assert all(e["culled"] > 0 for e in entries[1])
     assert any("wait_s" in e for e in entries[1])
+    assert all(e["analysis_peak_bytes"] > 0 for e in entries[1])
     assert sorted(p.name for p in (tmp_path / "--ahead").iterdir()) == sorted(
         p.name for p in (tmp_path / "--no-ahead").iterdir()
     )
