@@ -43,8 +43,9 @@ def finest(a: AnyLevel, b: AnyLevel, cut: bool) -> AnyLevel | None:
 
 
 def level_arrays(levels: Mapping[str, AnyLevel]) -> dict[str, np.ndarray]:
-    """Levels by the name of an object as arrays of a file of states, none where there are none of a kind."""
+    """Levels by the name of an object as arrays of a file of states, by name, none where there are none of a kind."""
     out: dict[str, np.ndarray] = {}
+    levels = dict(sorted(levels.items()))
     if simplified := {name: level for name, level in levels.items() if isinstance(level, Level)}:
         out |= {
             "level_names": np.array(list(simplified), dtype=np.str_),

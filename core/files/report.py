@@ -324,6 +324,7 @@ def save_states(
     if boxes is not None:
         arrays["boxes"] = boxes
     if faces:
+        faces = dict(sorted(faces.items()))
         arrays["face_names"] = np.array(list(faces), dtype=np.str_)
         arrays["face_counts"] = np.array([len(mask) for mask in faces.values()])
         arrays["face_bits"] = np.packbits(np.concatenate(list(faces.values())))

@@ -54,6 +54,7 @@ def ways(distance: float) -> list[Way]:
     return [
         Way(FULL),
         Way("`--bake shot`", ("--bake", "shot")),
+        Way("`--bake shot --ahead`", ("--bake", "shot", "--ahead")),
         Way("`--bake frame`", ("--cull", "light-paths")),
         Way("Simplify: camera", camera=True),
         Way(f"Simplify: camera, distance {distance:g} m", camera=True, distance=distance),
