@@ -7,7 +7,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from numba import int64, uint64
 from numba.core import event
 
 from .jit.kernel_cache import kept
-from .progress import Progress, clock
+from .progress import Progress, clock, silent
 from .threads import processors
 
 KERNELS = 120  # kept when the path tracing kernel, which unites most of them, is all that is left to compile, about
@@ -34,8 +34,7 @@ def load_ahead(after: float = 0.0) -> None:
     done later. after: seconds in which `not_needed` may still say that nobody will need them.
     """
     not_needed()
-    folder = os.environ.get("NUMBA_CACHE_DIR")  # by kernel_cache
-    if processors() == 1 or not folder or not any(Path(folder).glob("*/tile_kernel.trace_tiles-*.nbi")):
+    if processors() == 1 or not _compiled():
         return
 
     def load() -> None:
@@ -49,6 +48,12 @@ def load_ahead(after: float = 0.0) -> None:
     timer.name = "kernels"
     _waiting.append(timer)
     timer.start()
+
+
+def _compiled() -> bool:
+    """Whether the kernels of tracing are kept on disk: that of paths, which unites most of them, comes last."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")  # by kernel_cache
+    return bool(folder) and any(Path(folder or "").glob("*/tile_kernel.trace_tiles-*.nbi"))
 
 
 def not_needed() -> None:
@@ -70,10 +75,11 @@ class _Compiling(event.Listener):
     def __call__(self, fraction: float, what: str) -> None:
         with self._lock:  # kernels are compiled on whichever thread calls them first
             if self._depth:
-                fraction, what = math.nan, self._text()
+                fraction, what = math.nan, self.text()
             self._progress(fraction, what)
 
-    def _text(self) -> str:
+    def text(self) -> str:
+        """How far compiling is, and the time left."""
         if self._first is None:
             self._first, self._begun = time.monotonic(), self._share(0.0)
         spent = time.monotonic() - self._first
@@ -100,6 +106,19 @@ class _Compiling(event.Listener):
         """One is compiled."""
         self._done += 1
         self._depth -= 1
+
+
+def waiting(progress: Progress, what: str) -> Callable[[], None]:
+    """What tells a progress, whenever it is called, that one waits for what another process does; that it compiles
+    kernels, as long as it has to."""
+    compiling, cold = _Compiling(silent), not _compiled()
+
+    def tell() -> None:
+        nonlocal cold
+        cold = cold and not _compiled()
+        progress(math.nan if cold else 0.0, compiling.text() if cold else what)
+
+    return tell
 
 
 @contextmanager

@@ -90,9 +90,11 @@ class Ahead:
         self._process.stdin.close()
         self._folder.cleanup()
 
-    def take(self, frame: int, path: Path, cancelled: Callable[[], bool]) -> Analysed:
+    def take(
+        self, frame: int, path: Path, cancelled: Callable[[], bool], tell: Callable[[], None] | None = None
+    ) -> Analysed:
         """What was decided on a frame, once; its states are then at path. `wait_s` of its entry: seconds that it was
-        waited for.
+        waited for. tell: called again and again meanwhile.
 
         Raises InputError where the process has ended without it, Cancelled.
         """
@@ -103,6 +105,8 @@ class Ahead:
             if found is not None:
                 found.entry["wait_s"] = time.perf_counter() - start
                 return found
+            if tell is not None:
+                tell()
             self.go_on(ended, f"frame {frame}", cancelled)
 
     def has_ended(self) -> bool:

@@ -21,6 +21,7 @@ from ...core.files.report import Report, save_states
 from ...core.files.usage import resident_memory
 from ...core.progress import Progress, part, silent
 from ...core.scene.model import RAY_TYPES, Scene
+from ...core.warmup import waiting
 from .. import writeback
 from ..console import muted
 from ..depsgraph import show_frame
@@ -47,6 +48,7 @@ from .shots.shot_set import ShotSet
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
 
+WAITING = "waiting for the analysis"
 ANALYSIS_SHARE = 0.2  # of a frame's progress, where it is rendered too
 
 
@@ -55,8 +57,7 @@ def run_frame_ahead(
 ) -> None:
     """One frame of a job for one of Blender's engines, whose analysis is another process's; added to the report. Raises
     InputError, Cancelled."""
-    progress(0.0, "waiting for the analysis")
-    found = ahead.take(frame, job.states(frame), cancelled)
+    found = ahead.take(frame, job.states(frame), cancelled, waiting(progress, WAITING))
     if job.options.memory:
         ahead.wait(cancelled)
     with muted():

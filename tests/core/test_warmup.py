@@ -100,6 +100,24 @@ def test_the_share_counts_what_other_processes_compiled(tmp_path: Path, monkeypa
     assert "left" in said[1]
 
 
+def test_what_another_process_compiles_is_said_until_it_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    said: list[str] = []
+    tell = warmup.waiting(lambda fraction, what: said.append(what), "waiting")
+    (tmp_path / "core_1").mkdir()
+    tell()
+    for k in range(KERNELS // 2):
+        (tmp_path / "core_1" / f"{k}.nbi").touch()
+    tell()
+    (tmp_path / "core_1" / "tile_kernel.trace_tiles-1.nbi").touch()
+    tell()
+    assert said[0].startswith("compiling kernels, the first time only: 0%")
+    assert said[1].startswith(f"compiling kernels, the first time only: {round(50 * (1 - LAST))}%, about")
+    assert said[2] == "waiting"
+
+
 def test_what_takes_longer_than_expected_is_not_about_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No time is told where the share is the most that is told."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))

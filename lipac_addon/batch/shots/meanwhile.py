@@ -23,9 +23,10 @@ from ....core.culling.options import State
 from ....core.files.atomic import alone, replacing
 from ....core.files.report import Report, States, load_states
 from ....core.progress import Progress, part
+from ....core.warmup import waiting
 from ...depsgraph import show_frame
 from ..ahead import Ahead
-from ..frame import render
+from ..frame import WAITING, render
 from ..job import Cancel, Job
 from .shot_set import ShotSet
 from .written import Written
@@ -103,18 +104,19 @@ def render_meanwhile(job: Job, written: Written, report: Report, progress: Progr
     drawn: dict[int, Drawn] = {}
     frames, since, written_for = job.frames, time.perf_counter(), ("", 0)
     with job.analysing(frames) as ahead:
-        judged = Judged(ahead.folder / "analysis")
-        progress(0.0, "waiting for the analysis")
+        judged, tell = Judged(ahead.folder / "analysis"), waiting(progress, WAITING)
         while True:
             ended = ahead.has_ended()
             judged.look()
             if judged.is_complete(frames):
                 break
-            waiting = [k for k in judged.held if k not in drawn or drawn[k].digest != judged.digest]
-            if judged.fails or not waiting:
+            left = [k for k in judged.held if k not in drawn or drawn[k].digest != judged.digest]
+            if judged.fails or not left:
+                if not drawn:
+                    tell()
                 ahead.go_on(ended, "the shot", cancelled)
                 continue
-            frame = waiting[0]
+            frame = left[0]
             active, count = judged.held[frame]
             if written_for[0] != judged.digest or written_for[1] < count:
                 written.use(judged.set, judged.set.levels)
