@@ -15,7 +15,7 @@ from ..arrays import F64, I32
 from ..error_budget.budget import Budget, Savings, Shared
 from ..error_budget.error_estimate import CONFIDENCE, Light, Reference
 from ..error_budget.fitting import least_that_fits
-from ..error_budget.search import DENSER, TRIALS, WORTH_WHILE, Choice, Search, gain
+from ..error_budget.search import DENSER, TRIALS, WORTH_WHILE, Choice, Search, gain, gain_of_all
 from ..error_budget.trial import Trial
 from ..error_budget.units import Seen, Units, units_of
 from ..feedback.path_log import PathLog
@@ -229,7 +229,8 @@ def _judged(
         sets = [step.cull for step in steps if loop.limited or step.cull.any()]
         fresh = measured.next_sample, measured.samples
         certificate = Certificate(loop, *fresh, budget, 1 - share * (1 - CONFIDENCE), more)
-        verdict = certificate.walk(sets, units, keep_of, partial(gain, units, search.savings), part(within, 0.5, 0.9))
+        gains = partial(gain, units, search.savings), partial(gain_of_all, units, search.savings)
+        verdict = certificate.walk(sets, units, keep_of, gains, part(within, 0.5, 0.9))
         if attempt == attempts - 1 or not sets or verdict.cull is None or verdict.cull.any() or verdict.why:
             break
         # a measurement and a certificate of twice as many paths

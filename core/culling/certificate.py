@@ -46,6 +46,14 @@ NEGLIGIBLE = 0.01  # of the bound of a tile: units worth less to a full one may 
 NOTHING_SURE = "of nothing it is sure that the picture may go without it, at this error budget: everything is kept"
 
 
+Gain = Callable[[np.ndarray, np.ndarray], float]
+
+
+def _all_of_it(_cull: np.ndarray, _more: np.ndarray) -> float:
+    """A gain that is always worth while."""
+    return 1.0
+
+
 @dataclass(frozen=True)
 class Accepted:
     """A set of units, (U,) bool; the instances that it leaves, (N,) bool; the change by it."""
@@ -99,17 +107,17 @@ class Certificate:
         sets: Sequence[np.ndarray],
         units: Units,
         keep_of: Callable[[np.ndarray], np.ndarray],
-        gain: Callable[[np.ndarray, np.ndarray], float] = lambda _cull, _more: 1.0,
+        gains: tuple[Gain, Gain] = (_all_of_it, _all_of_it),
         progress: Progress = silent,
     ) -> Verdict:
         """Judge sets of units, (U,) bool, each a part of the next. keep_of: the instances that a set leaves, (N,) bool.
-        gain: what a larger set gains on another, as of `error_budget.search`: where the last one gains little on what
-        is certified, doubts about a set are not looked into.
+        gains: what a larger set gains on another, `gain` and `gain_of_all` of `error_budget.search`: where the last
+        one gains little on what is certified, doubts about a set are not looked into.
 
         Raises Cancelled.
         """
-        full = np.zeros(TILES, bool)
-        failed = 0
+        full, failed = np.zeros(TILES, bool), 0
+        gain, gain_of_all = gains
         # the empty set: it needs neither paths nor builds
         nothing = Accepted(np.zeros(len(units), bool), self.loop.activation.exists.copy(), NOTHING)
         accepted = None if self.loop.limited else nothing
@@ -124,7 +132,7 @@ class Certificate:
                 whole = before | new
                 if (before.any() and gain(before, whole) < LEAST_GAIN) or (accepted is not None and not new.any()):
                     break
-                doubts = not before.any() or gain(before, sets[-1]) >= WORTH_WHILE
+                doubts = not before.any() or gain_of_all(before, sets[-1]) >= WORTH_WHILE
                 for proposed in (whole, *pieces(before, whole, units)):
                     keep = keep_of(proposed)
                     estimate = self.judge(keep, within, doubts)

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..accel.region_tree import spatial_order
+from ..accel.halving import halved
 from ..accel.triangulation import own_vertices
 from ..arrays import F32, I32, I64
 from ..files.scratch import Rows, Scratch
-from ..scene.bounds import triangle_boxes, world_bounds
-from ..scene.mesh import DIVIDED_FROM, Mesh, MeshSequence
+from ..scene.bounds import world_bounds
+from ..scene.mesh import Mesh, MeshSequence, divided_from
 from ..scene.model import InstanceFlag, Instances, Scene
 from ..scene.render_costs import RenderCosts
 from ..tracing.lights.lights import emissive_instances
@@ -53,9 +53,8 @@ class Parts:
 
     @staticmethod
     def of(mesh: Mesh, scratch: Scratch) -> Parts:
-        """Divide a mesh into runs of PART triangles along a Morton curve."""
-        order = spatial_order(triangle_boxes(mesh.positions, mesh.triangles))
-        ends = np.minimum(np.arange(PART, len(order) + PART, PART), len(order))
+        """Divide a mesh into runs of up to PART neighbouring triangles."""
+        order, ends = halved(mesh.positions, mesh.triangles, PART)
         return Parts._stored(mesh, order, ends, scratch)
 
     @staticmethod
@@ -169,10 +168,13 @@ class Division:
         """Those are divided whose flags let them (`InstanceFlag.DIVISIBLE`), and whose mesh is nobody else's."""
         instances = scene.instances
         users = np.bincount(instances.mesh, minlength=len(scene.meshes))
+        self._from = divided_from(scene.triangles)
         self._whole = self.scene = scene
         self._scratch = Scratch()
         self._may = ((instances.flags & InstanceFlag.DIVISIBLE) != 0) & (users[instances.mesh] == 1)
         self._may[emissive_instances(scene)] = False  # light sampling picks triangles of these
+        if scene.triangles is not None:  # so what is too small is not even read
+            self._may &= scene.triangles[instances.mesh] >= self._from
         self._rows: list[int] = []
         self._parts: list[Parts] = []
 
@@ -193,7 +195,7 @@ class Division:
         for row in np.flatnonzero(active[: len(self._may)] & self._may).tolist():
             self._may[row] = False
             mesh = self._read(row)
-            if len(mesh.triangles) >= DIVIDED_FROM:
+            if len(mesh.triangles) >= self._from:
                 self._rows.append(row)
                 self._parts.append(Parts.of(mesh, self._scratch))
         if count == len(self._rows):

@@ -41,7 +41,7 @@ PIECES = 4  # that a step of a sequence is judged in, where it breaks the budget
 AIM = 0.95
 PATHS = 1.4  # traced by all trials together at most, to those of the measurement
 DENSER = 4.0  # times the paths that may be traced in tiles where noise alone stands between a set and the budget
-# of the instances that stay, or of their bytes: what more paths are to let go, at the least, to be traced
+# of all instances that paths met, or of their bytes: what more paths are to let go, at the least, to be traced
 WORTH_WHILE = 0.02
 # of the instances that stay, or of their bytes: what a trial is to let go, at the least
 LEAST_GAIN = 0.001
@@ -84,7 +84,7 @@ class Search:
         self.traced = 0
         self._doubts = 0
         self.doubted = np.zeros(TILES, bool)  # tiles that more paths might show to hold a set that was given up
-        self.promise = 0.0  # the most that such a set would have gained
+        self.promise = 0.0  # the most that such a set would have gained, of all
 
     def run(self, progress: Progress = silent, doubts: int = TRIALS) -> list[Choice]:
         """The sets found, each a part of the next. Beginning with what no path meets, more and more is culled: what is
@@ -179,7 +179,7 @@ class Search:
         if choice.estimate.may_hold(self.budget, self.confidence, np.full(TILES, DENSER)):
             self._doubts += 1
             self.doubted |= choice.estimate.doubtful(self.budget, self.confidence)
-            self.promise = max(self.promise, gain(self.units, self.savings, already.cull, cull))
+            self.promise = max(self.promise, gain_of_all(self.units, self.savings, already.cull, cull))
         new[self.units.with_entries :] = False
         change, squares = (
             np.sum(x, axis=0)
@@ -196,6 +196,14 @@ def gain(units: Units, savings: Savings, cull: np.ndarray, more: np.ndarray) -> 
     paths met and of the bytes."""
     stay = ~cull
     return _share(more[stay], units.met_members[stay], units.saved(savings, stay)[stay])
+
+
+def gain_of_all(units: Units, savings: Savings, cull: np.ndarray, more: np.ndarray) -> float:
+    """What goes with more, (U,) bool, beyond cull, a part of it, of all that paths met, or its bytes, those of a mesh
+    shared among its instances: where next to nothing stays, it is little."""
+    n = units.with_entries
+    go = (more & ~cull)[:n]
+    return _share(go, units.members[:n], units.saved(savings, np.ones(len(units), bool))[:n])
 
 
 def _share(go: np.ndarray, members: I64, bytes_of: F64) -> float:

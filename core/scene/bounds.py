@@ -36,21 +36,6 @@ def extents(boxes: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def triangle_boxes(positions: Any, triangles: Any) -> Any:
-    """Boxes of triangles, (T, 3) into positions (V, 3): (T, 2, 3) float32."""
-    out = np.empty((len(triangles), 2, 3), np.float32)
-    for t in range(len(triangles)):
-        for axis in range(3):
-            a, b, c = (
-                positions[triangles[t, 0], axis],
-                positions[triangles[t, 1], axis],
-                positions[triangles[t, 2], axis],
-            )
-            out[t, 0, axis], out[t, 1, axis] = min(a, b, c), max(a, b, c)
-    return out
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
 def enclosing(boxes: Any, run: int) -> Any:
     """Boxes around each run of so many boxes, the last one perhaps of fewer: (N, 2, 3) -> (ceil(N / run), 2, 3)
     float32."""

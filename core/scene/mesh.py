@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from ..arrays import F32, I32, U32, Records
 
-# triangles of a mesh that is divided into parts: dividing smaller ones costs more time than their memory is worth
-DIVIDED_FROM = 8192
+# Triangles from which on a mesh is divided into parts: such a share of those of all meshes, but never fewer than the
+# least, and always from the most on
+DIVIDED_SHARE, DIVIDED_LEAST, DIVIDED_MOST = 0.01, 512, 8192
 
 
 @dataclass(frozen=True)
@@ -138,3 +139,14 @@ class MeshTable(MeshSequence):
     def mesh(self, index: int) -> Mesh:
         """As it was loaded, or as the source gives it."""
         return self._loaded[index] if index in self._loaded else self._meshes[index]
+
+
+def divided_from(triangles: NDArray[np.int64] | None) -> int:
+    """From how many triangles on a mesh is divided into parts where meshes have (M,) triangles; None: nobody knows.
+
+    A mesh with a hundredth of all triangles is: there are a hundred of these at most, and one that is left whole is
+    next to nothing.
+    """
+    if triangles is None:
+        return DIVIDED_MOST
+    return int(np.clip(np.ceil(DIVIDED_SHARE * int(triangles.sum())), DIVIDED_LEAST, DIVIDED_MOST))

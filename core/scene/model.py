@@ -348,7 +348,7 @@ class Scene:
     one at random; none: it stands still. whole: why nothing may be culled by light paths, in words; "": it may. stays:
     (N,) bool, instances that the picture shows by other things than light; None: none.
     simplifiable: (M,) bool, meshes that may be exchanged for simplified ones; None: none. coarser: meshes that can be
-    had with fewer triangles.
+    had with fewer triangles. triangles: (M,) int64 of each mesh, where they are known without loading.
     """
 
     instances: Instances
@@ -372,6 +372,7 @@ class Scene:
     stays: NDArray[np.bool_] | None = None
     simplifiable: NDArray[np.bool_] | None = None
     coarser: CoarserMeshes | None = None
+    triangles: NDArray[np.int64] | None = None
 
 
 def default_material() -> Records:

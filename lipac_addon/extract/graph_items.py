@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...core.arrays import F64
-from ...core.scene.mesh import DIVIDED_FROM
+from ...core.scene.mesh import DIVIDED_LEAST
 from ...core.scene.model import InstanceFlag
 from ..coarsening import setting_of
 from ..keys import Kind
@@ -136,8 +136,8 @@ def legacy_instancing(item: Any, lines: dict[str, None]) -> Kind | None:
 
 
 def is_divisible(node: Node) -> bool:
-    """Whether faces of an object may be culled by themselves: those of a large mesh, that instances nothing, and which
-    nothing grows from in a render."""
+    """Whether faces of an object may be culled by themselves: those of a mesh that is not tiny, that instances nothing,
+    and which nothing grows from in a render."""
     item = node.item
     if (
         item.type != "MESH"
@@ -150,7 +150,7 @@ def is_divisible(node: Node) -> bool:
         return False
     diced = any(m.type == "SUBSURF" and getattr(m, "use_adaptive_subdivision", False) for m in item.modifiers)
     diced |= bool(getattr(getattr(item, "cycles", None), "use_adaptive_subdivision", False))
-    if diced or 2 * len(item.data.polygons) < DIVIDED_FROM:
+    if diced or 2 * len(item.data.polygons) < DIVIDED_LEAST:
         return False
     return not any(needs_whole_mesh(slot.material) for slot in item.material_slots)
 

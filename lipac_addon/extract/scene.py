@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -169,10 +170,7 @@ class SceneReader:
             dict.fromkeys((*newer_than_tested(), *graph.geometry.warnings, *far_from_origin(camera, film, places))),
         )
         lights = _lights(placed, approximated, warnings)
-        dropped: dict[str, int] = {}
-        for block in placed.blocks:
-            for name, count in block.dropped.items():
-                dropped[name] = dropped.get(name, 0) + count
+        dropped = sum((Counter(block.dropped) for block in placed.blocks), Counter[str]())
         for name, count in dropped.items():
             warnings.setdefault(
                 f"{count} instance{'s' if count > 1 else ''} of {name!r} left out: the transform is singular or not "
@@ -208,6 +206,7 @@ class SceneReader:
                 depsgraph.scene,
                 depsgraph.view_layer.name,
             ),
+            triangles=graph.geometry.meshes.triangles(),
         )
         scatters = {
             n.full_name: n.geometry.columns[:, 3, :3]

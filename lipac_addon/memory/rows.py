@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ...core.arrays import F32, F64, I64
 from ...core.files.memory_table import MemoryRow
-from ...core.scene.mesh import DIVIDED_FROM
+from ...core.scene.mesh import divided_from
 from ...core.scene.model import RAY_TYPES, InstanceFlag, Instances
-from ...core.scene.render_costs import BVH_TRIANGLE, TRIANGLE
+from ...core.scene.render_costs import BVH_TRIANGLE
 from ..extract import Extraction
 from ..keys import Keys
 from .costs import NamedCosts, costs_of
@@ -183,7 +183,8 @@ class _Ledger:
 
     def _why_of_objects(self, names: int) -> list[str]:
         met, kept = self._met(self.owner, names) > 0, self._count(self.owner, names, True) > 0
-        large = (self.costs.geometry >= TRIANGLE * DIVIDED_FROM) & ~self.cut
+        triangles = self.costs.bvh // BVH_TRIANGLE
+        large = (triangles >= divided_from(triangles)) & ~self.cut
         whole = np.where(large & (self.users > 1), 2, large.astype(np.int64))[self.mesh]
         whole[((self.flags & InstanceFlag.DIVISIBLE) != 0) & (whole == 1)] = 0
         simplified = np.zeros(len(self.users), bool)

@@ -11,6 +11,7 @@ from lipac.core.accel import region_tree
 from lipac.core.culling import activation, analysis, certificate, frame_tracer, loop, measurement, options
 from lipac.core.error_budget import budget, error_estimate, search, units
 from lipac.core.feedback import hits, path_log, tiles
+from lipac.core.scene import mesh
 from lipac.core.tracing import path_state, seen_emitters
 
 from .pages import ROOT
@@ -136,6 +137,9 @@ CONSTANTS = {
     "UNKNOWN": loop.UNKNOWN,
     "BOXES_PER_SEGMENT": frame_tracer.BOXES_PER_SEGMENT,
     "BOXES_AMONG_PARTS": frame_tracer.BOXES_AMONG_PARTS,
+    "DIVIDED_SHARE": mesh.DIVIDED_SHARE,
+    "DIVIDED_LEAST": mesh.DIVIDED_LEAST,
+    "DIVIDED_MOST": mesh.DIVIDED_MOST,
     "FANOUT": region_tree.FANOUT,
     "MERGE_BELOW": region_tree.MERGE_BELOW,
     "RESPLIT_WINDOW": region_tree.RESPLIT_WINDOW,

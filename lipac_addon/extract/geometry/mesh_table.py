@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....core.arrays import F32, F64, I32
-from ....core.scene.mesh import DIVIDED_FROM
+from ....core.scene.mesh import DIVIDED_MOST
 from ..materials.displacement import Relief
 from .fibres import Fibres
 from .meshes import NO_BOUNDS, Loaded, MeshSource, describe, has_velocities, load
@@ -92,7 +92,7 @@ class MeshTable:
         """Keep one more GeometrySet of the same for a large mesh (`MeshSource.spare`). evaluated: makes it."""
         source = self.source(index)
         mesh = source.geometry.mesh
-        if mesh is not None and len(mesh.loops) >= 2 * DIVIDED_FROM and source.spare is None:
+        if mesh is not None and len(mesh.loops) >= 2 * DIVIDED_MOST and source.spare is None:
             source.spare = evaluated()
             _ = source.spare.mesh
 
@@ -128,6 +128,11 @@ class MeshTable:
         """(M, 2, 3) float32, as `core.scene.model.Scene.mesh_bounds`."""
         boxes = [NO_BOUNDS if source is None else source.local_bounds() for source in self.sources]
         return np.stack(boxes) if boxes else np.zeros((0, 2, 3), np.float32)
+
+    def triangles(self) -> NDArray[np.int64]:
+        """(M,) int64, as `core.scene.model.Scene.triangles`."""
+        meshes = [None if source is None else source.geometry.mesh for source in self.sources]
+        return np.array([0 if m is None else max(len(m.loops) - 2 * len(m.polygons), 0) for m in meshes], np.int64)
 
     def simplifiable(self) -> NDArray[np.bool_]:
         """(M,) bool, as `core.scene.model.Scene.simplifiable`."""

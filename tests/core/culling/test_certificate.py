@@ -229,7 +229,8 @@ def test_a_doubt_is_looked_into_where_much_hangs_on_it() -> None:
         loop = Loop(scene, CullOptions(width=SIZE[0]))
         loop.include(~sets[0])
         certificate = Certificate(loop, 0, np.full(TILES, 2), Budget(1.0, 1.2 * float(change)))
-        certificate.walk(sets, Units.single(np.zeros((n, TILES))), lambda cull: ~cull, lambda *_: gained)  # noqa: B023
+        gains = (lambda *_: 1.0, lambda *_: gained)  # noqa: B023
+        certificate.walk(sets, Units.single(np.zeros((n, TILES))), lambda cull: ~cull, gains)
         looks.append(certificate._looks)
     assert looks[0] > looks[1]
 

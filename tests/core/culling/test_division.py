@@ -12,7 +12,7 @@ import pytest
 
 from lipac.core.accel.blas import BlasCache
 from lipac.core.culling.analysis import analyze, decide
-from lipac.core.culling.certificate import Certificate
+from lipac.core.culling.certificate import TOLERATED, Certificate
 from lipac.core.culling.division import PART, Division, Parts
 from lipac.core.culling.loop import Loop
 from lipac.core.culling.options import CullOptions
@@ -21,7 +21,7 @@ from lipac.core.evaluation.judge import Judge
 from lipac.core.feedback.tiles import TILES
 from lipac.core.files.scratch import Scratch
 from lipac.core.scene import model as s
-from lipac.core.scene.mesh import DIVIDED_FROM, Mesh, MeshSequence
+from lipac.core.scene.mesh import DIVIDED_LEAST, DIVIDED_MOST, Mesh, MeshSequence, divided_from
 
 from .. import scenes
 from .test_budget_cases import CAMERA, facing, material, sun
@@ -224,13 +224,30 @@ def test_parts_that_stay_are_built_once_a_path_needs_them() -> None:
         if all_built:
             loop.activation.activate(loop.activation.exists)
         judge, keep = Certificate(loop, 1 << 16, np.full(TILES, 4), OPTIONS.max_error), loop.activation.exists.copy()
-        assert judge.judge(keep).mean == 0
+        assert judge.judge(keep).mean <= TOLERATED * OPTIONS.max_error.mean  # by boxes that nobody opened
         assert loop.activation.active[hidden].all() == all_built
         keep[1] = False
         found.append(judge.judge(keep, doubts=False))
         assert loop.activation.active[hidden].mean() > 0.5
     assert found[0].mean > 0.1
-    assert np.allclose(found[0].tiles, found[1].tiles)
+    assert np.allclose(found[0].tiles, found[1].tiles, rtol=0.01)  # but for such boxes
+
+
+def test_meshes_with_a_share_of_all_triangles_are_divided() -> None:
+    """Where others have a hundred times as many, it is neither divided nor read for that."""
+    small = grid(20)
+    for others, divided in ((0, True), (100, False)):
+        meshes = Read([small, scenes.cube()])
+        scene = terrain(meshes=[small, scenes.cube()])
+        count = np.array([len(small.triangles), 12 + others * len(small.triangles)], np.int64)
+        scene = dataclasses.replace(scene, meshes=meshes, triangles=count)
+        division = Division(scene)
+        assert division.divide(np.ones(2, bool)) == divided
+        assert (0 in meshes.read) == divided
+        assert len(division.owner) == (-(-len(small.triangles) // PART) if divided else 0)
+    assert divided_from(None) == divided_from(np.full(9, 10**9)) == DIVIDED_MOST
+    assert divided_from(np.array([100_000, 50_000])) == 1500
+    assert divided_from(np.array([12])) == DIVIDED_LEAST == 2 * PART
 
 
 @pytest.mark.parametrize("why", ["not flagged", "small", "emits", "shared", "pinned", "switched off"])
@@ -239,7 +256,7 @@ def test_what_is_not_divided(why: str) -> None:
     if why == "not flagged":
         scene = terrain(np.uint8(s.ALL_RAYS))
     elif why == "small":
-        scene = terrain(side=int((DIVIDED_FROM / 2) ** 0.5) - 1)
+        scene = terrain(side=int((DIVIDED_MOST / 2) ** 0.5) - 1)
     elif why == "emits":
         scene = terrain(emission=1.0)
     elif why == "shared":

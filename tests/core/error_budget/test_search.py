@@ -14,7 +14,7 @@ from lipac.core.culling.measurement import Measurement
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget, Savings
 from lipac.core.error_budget.error_estimate import Light, Reference
-from lipac.core.error_budget.search import LIKELY, Search, gain, pieces
+from lipac.core.error_budget.search import LIKELY, Search, gain, gain_of_all, pieces
 from lipac.core.error_budget.trial import Trial
 from lipac.core.error_budget.units import Units
 from lipac.core.feedback.path_log import RECORD, PathLog
@@ -249,6 +249,12 @@ def test_a_gain_is_of_what_stays() -> None:
     large = Savings.among(np.arange(4, dtype=np.int32), np.array([10, 10**6, 10, 10]))
     assert gain(units, large, first, both) > 0.99
     assert gain(units, alike, both, both) == 0
+    assert gain_of_all(units, alike, nothing, first) == 0.97
+    assert gain_of_all(units, alike, first, both) == pytest.approx(1 / 4)  # of bytes; of instances a hundredth
+    assert gain_of_all(units, alike, both, both) == 0
+    shared = Savings.among(np.zeros(4, np.int32), np.array([10**6]))
+    assert gain_of_all(units, shared, np.arange(4) < 3, np.ones(4, bool)) == pytest.approx(1 / 4)
+    assert gain(units, shared, np.arange(4) < 3, np.ones(4, bool)) == 1
 
 
 def test_what_must_stay_stays_and_paths_are_limited() -> None:

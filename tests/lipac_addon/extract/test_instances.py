@@ -487,6 +487,8 @@ def test_whose_faces_may_be_culled_by_themselves(why: str) -> None:
     scene = extract_frame(bpy.context.scene, 1).scene
     assert bool(scene.instances.flags[0] & InstanceFlag.DIVISIBLE) == (why == "")
     mesh = scene.meshes[int(scene.instances.mesh[0])]
+    assert scene.triangles is not None
+    assert scene.triangles[scene.instances.mesh[0]] == len(mesh.triangles)
     assert (mesh.faces is not None) == (why == "")
     if mesh.faces is not None:
         assert np.array_equal(np.bincount(mesh.faces), np.full(70 * 70, 2))
