@@ -235,8 +235,7 @@ def _judged(
             break
         # a measurement and a certificate of twice as many paths
         paths = measured.log.luminance.size
-        many = CROWDED * len(ids) > paths and not more
-        if many and not pays(loop, keep_of(sets[-1]), 4 * ENTRIES_PER_PATH * paths):
+        if CROWDED * len(ids) > paths and not (more or pays(loop, keep_of(sets[-1]), 4 * ENTRIES_PER_PATH * paths)):
             break
         measured = loop.measure(None, 2 * measured.log.shape[2], part(within, 0.9, 1.0))
     return measured, units, steps, verdict, searched, certificate
