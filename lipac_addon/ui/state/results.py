@@ -90,8 +90,8 @@ class FrameResult:
         scatters = {
             uid_of[name]: rows.copy() for name, rows in extraction.scatters.items() if uid_of.get(name, -1) >= 0
         }
-        of_row = uids[keys.records["object"]]
-        faces = {int(of_row[row]): mask for row, mask in getattr(result, "faces", {}).items() if of_row[row] >= 0}
+        shown = {row: int(uids[keys.records["object"][row]]) for row in getattr(result, "faces", {})}
+        faces = {uid: result.faces[row] for row, uid in shown.items() if uid >= 0}
         return FrameResult(
             frame, keys, uids, state, result.score, result.hits, bounds, result.boxes, scene.origin, stats, lines,
             scatters, faces=faces, tiles=getattr(result, "tiles", None)
