@@ -176,6 +176,7 @@ class Loop:
         self.blas.advance(self.scene.meshes, *np.zeros((2, 0), np.int32))
         self.activation.divide(self.scene)
         self.tracer.divide(self.scene)
+        self.tracer.twins.divide(division.first, division.owner)
 
     def _schedule_builds(self, progress: Progress = silent) -> None:
         """Where builds are limited: have the BLASes of active instances built, the most valuable first. A time budget

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import F32
+from ..arrays import F32, I64
 from .model import Instances
 
 _MIX = np.uint64(0x9E3779B97F4A7C15)  # SplitMix64's
@@ -25,6 +25,12 @@ class Twins:
         self._rows = np.zeros(0, np.intp)
         self._group = np.zeros(0, np.intp)
         self._placed: NDArray[np.intp] | None = None
+        self._first, self._owner = 0, np.zeros(0, np.int64)
+
+    def divide(self, first: int, owner: I64) -> None:
+        """Rows from first on are parts of instances, (P,) their rows: those of one have no place in common, although
+        their boxes may be the same."""
+        self._first, self._owner, self._placed = first, owner, None
 
     def rows(self, instances: Instances) -> NDArray[np.intp]:
         """Instances that lie where another one does, and are placed as that is: others with the same box may cross."""
@@ -32,9 +38,21 @@ class Twins:
         if self._placed is None:
             placed = instances.transform[self._rows].reshape(len(self._rows), 12)
             code = _codes(placed) ^ self._group.astype(np.uint64) * _MIX
-            _, group, count = np.unique(code, return_inverse=True, return_counts=True)
-            self._placed = self._rows[count[group] > 1]
+            _, group = np.unique(code, return_inverse=True)
+            of = self._owners()
+            least, most = np.full(len(of), np.iinfo(np.int64).max), np.full(len(of), -1)
+            np.minimum.at(least, group, of)
+            np.maximum.at(most, group, of)
+            self._placed = self._rows[(least < most)[group]]
         return self._placed
+
+    def _owners(self) -> I64:
+        """The instance that each of the rows found is, or is a part of."""
+        out = self._rows.astype(np.int64)
+        if len(self._owner):
+            parts = out >= self._first
+            out[parts] = self._owner[out[parts] - self._first]
+        return out
 
     def joined(self, boxes: F32, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """keep, (N,) bool, with all that lie exactly where one of them does. boxes: (N, 2, 3) float32, of the

@@ -56,3 +56,14 @@ def test_what_lies_in_one_place_stays_where_paths_meet_it(copies: int) -> None:
     result = analyze(scene, CullOptions(max_error=Budget(0.1, 0.9)))
     assert result.active.all() == (copies > 1) and result.active[0]
     assert any(line.startswith("surfaces of several objects") for line in result.warnings) == (copies > 1)
+
+
+@pytest.mark.parametrize("owners", [(0, 0), (0, 1)])
+def test_parts_of_one_mesh_lie_side_by_side(owners: tuple[int, int]) -> None:
+    """What stays of a mesh and what goes of it have the same box; parts of a copy of it lie in its place."""
+    places = [scenes.placed((9.0 * k, 0, 0)) for k in (0, 1, 2, 2)]
+    scene = scenes.build([scenes.cube()], [(0, place, 0) for place in places])
+    twins = Twins()
+    assert twins.rows(scene.instances).tolist() == [2, 3]
+    twins.divide(2, np.array(owners))
+    assert twins.rows(scene.instances).tolist() == ([] if owners[0] == owners[1] else [2, 3])
