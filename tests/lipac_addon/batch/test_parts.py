@@ -16,6 +16,8 @@ from lipac.lipac_addon.batch.job import FRAME, SHOT, Job
 from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.batch.verify import GRID
 
+from ..hills import hills
+
 SIDE = 120
 
 
@@ -23,13 +25,7 @@ SIDE = 120
 def terrain() -> bpy.types.Object:
     """A camera low over hills that are one mesh of quads; most of it is far, behind hills, or behind the camera."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.mesh.primitive_grid_add(x_subdivisions=SIDE, y_subdivisions=SIDE, size=400)
-    ob = bpy.context.object
-    positions = np.empty(3 * len(ob.data.vertices), np.float32)
-    ob.data.vertices.foreach_get("co", positions)
-    positions[2::3] = 9 * np.sin(0.06 * positions[::3]) * np.cos(0.05 * positions[1::3])
-    ob.data.vertices.foreach_set("co", positions)
-    ob.data.shade_smooth()
+    ob = hills(SIDE, 400)
     bpy.ops.object.camera_add(location=(0, 0, 4), rotation=(1.5, 0, 0.4))
     scene = bpy.context.scene
     scene.camera = bpy.context.object

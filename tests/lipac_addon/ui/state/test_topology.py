@@ -15,6 +15,8 @@ from lipac.lipac_addon.ui.draw.figures import rows_of
 from lipac.lipac_addon.ui.jobs.analysis import AnalysisJob
 from lipac.lipac_addon.ui.state import applying, results
 
+from ...hills import hills as grid
+
 pytestmark = pytest.mark.slow
 SIDE = 80
 
@@ -24,13 +26,7 @@ def hills(ui: None) -> bpy.types.Object:
     """A camera low over hills that are one mesh of quads, decided by light paths; most of it is far, behind hills, or
     behind the camera, which turns."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.mesh.primitive_grid_add(x_subdivisions=SIDE, y_subdivisions=SIDE, size=300)
-    ob = bpy.context.object
-    positions = np.empty(3 * len(ob.data.vertices), np.float32)
-    ob.data.vertices.foreach_get("co", positions)
-    positions[2::3] = 9 * np.sin(0.06 * positions[::3]) * np.cos(0.05 * positions[1::3])
-    ob.data.vertices.foreach_set("co", positions)
-    ob.data.shade_smooth()
+    ob = grid(SIDE, 300)
     bpy.ops.object.camera_add(location=(0, 0, 4), rotation=(1.5, 0, 0.4))
     scene = bpy.context.scene
     scene.camera = bpy.context.object
