@@ -183,7 +183,9 @@ LIGHT = np.dtype(
         ("axis_y", "f4", (3,)),
         ("axis_z", "f4", (3,)),  # unit; the light shines along -axis_z, as in Blender
         ("power", "f4", (3,)),  # colour x energy x 2**exposure in Blender's units: W (point, spot, area), W/m2 (sun)
-        ("size", "f4", (2,)),  # area: full width and height in metres, scale applied
+        # area: full width and height in metres, scale applied; spot: how many times as wide as along its axis its cone
+        # is, by the scale; 0: as wide
+        ("size", "f4", (2,)),
         ("radius", "f4"),  # point, spot: Blender's shadow_soft_size, metres
         ("angle", "f4"),  # sun: angular diameter
         ("spot_size", "f4"),  # full cone angle

@@ -24,7 +24,7 @@ from ..console import muted
 from ..depsgraph import rendered_layers
 from ..extract import Extraction, Extractor
 from ..extract.geometry.coarser import EvaluatedCoarser
-from ..extract.shutter import Passing, of_more_steps
+from ..extract.shutter import Passing, in_between, of_more_steps
 from ..keys import any_of
 from ..memory.limit import PROCESS, limited
 from ..memory.stakes import NothingToWin, stakes_of
@@ -125,8 +125,10 @@ class Session:
         with muted():
             extraction = replace(self._extractor.frame(frame, self.keep), scatters={})
         keys = extraction.keys
-        self._pinned = any_of(keys.records, [*needed, *passing.found()])
-        self._pinned |= roles.instances_of(keys, of_more_steps(keys))
+        fast = any_of(keys.records, passing.found()) | roles.instances_of(keys, of_more_steps(keys))
+        self._pinned = any_of(keys.records, needed) | fast
+        if fast.any():
+            extraction = replace(extraction, warnings=(*extraction.warnings, in_between(int(fast.sum()))))
         return extraction
 
     def limit_memory(self, extraction: Extraction) -> Extraction:

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from ...core.arrays import F64, Records
 from ...core.scene.model import LIGHT, AreaShape, LightKind
 from ...core.scene.placing import usable_transforms
-from .materials.ranges import most_of
+from .materials.ranges import GROWTH, glow_of, most_of
 
-GROWTH = {"Quadratic": 0, "Linear": 1, "Constant": 2}  # of outputs of Light Falloff, against that of light
 KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT, "AREA": LightKind.AREA}
 
 
@@ -32,23 +31,22 @@ def _node_strength(light: Any, report: Callable[[str], None], most: bool) -> tup
     if output is None or not output.inputs["Surface"].is_linked:
         return np.ones(3) if output is None else np.zeros(3), False, 0
     node = output.inputs["Surface"].links[0].from_node
+    falloffs = [n for n in inlined.node_tree.nodes if most and n.type == "LIGHT_FALLOFF"]
+    growth = max((GROWTH[out.name] for n in falloffs for out in n.outputs if out.is_linked), default=0)
     if node.type != "EMISSION":
         report(f"light {light.name}: node {node.name!r} is not rendered")
-        return np.ones(3), True, 0
-    factor, unsure, growth = np.ones(3), False, 0
+        return np.ones(3) * (glow_of(output.inputs["Surface"], 1.0) if most else 1.0), True, growth
+    factor, unsure = np.ones(3), False
     for name in ("Color", "Strength"):
         socket = node.inputs[name]
         if socket.is_linked:
             report(f"light {light.name}: {name.lower()} by nodes is not rendered")
-            source = socket.links[0].from_node
             unsure = True
-            if source.type == "LIGHT_FALLOFF":
-                strength = source.inputs["Strength"]
-                if most or not strength.is_linked:
-                    factor = factor * (max(most_of(strength), 0.0) if strength.is_linked else strength.default_value)
-                growth = max(growth, GROWTH[socket.links[0].from_socket.name] * most)
-            elif most:
-                factor = factor * max(most_of(socket), 0.0)
+            source = socket.links[0].from_node
+            if most:
+                factor = factor * max(most_of(socket, 1.0), 0.0)
+            elif source.type == "LIGHT_FALLOFF" and not source.inputs["Strength"].is_linked:
+                factor = factor * source.inputs["Strength"].default_value
         else:
             value = socket.default_value
             factor = factor * (np.array(value[:3]) if name == "Color" else value)
@@ -123,7 +121,7 @@ def _template(light: Any, report: Callable[[str], None], most: bool) -> tuple[Re
     if light.type in {"POINT", "SPOT"}:
         r["radius"], r["soft_falloff"] = light.shadow_soft_size, light.use_soft_falloff
     if light.type == "SPOT":
-        r["spot_size"], r["spot_blend"] = light.spot_size, light.spot_blend
+        r["spot_size"], r["spot_blend"], r["size"] = light.spot_size, light.spot_blend, 1.0
     if light.type == "SUN":
         r["angle"] = light.angle
     if light.type == "AREA":
@@ -137,8 +135,8 @@ def place_lamps(
     lamps: Sequence[Lamp], report: Callable[[str], object], warn: Callable[[str], object], box: F64
 ) -> Records:
     """(L,) of LIGHT for all placed lights. Axes are normalised; the scale of the object goes into the size of area
-    lights, as in Cycles. Those that fall off by less than light does are as bright as they are at the farthest corner
-    of box, (2, 3) of all that there is, in the coordinates of the lamps."""
+    lights and the cones of spots, as in Cycles. Those that fall off by less than light does are as bright as they are
+    at the farthest corner of box, (2, 3) of all that there is, in the coordinates of the lamps."""
     parts = []
     for lamp in lamps:
         for line in lamp.data.lines:
@@ -158,7 +156,8 @@ def place_lamps(
         if lamp.data.growth:
             reach = np.linalg.norm(np.abs(transform[:, None, :, 3] - box).max(axis=1), axis=1)
             records["power"] *= np.maximum(reach, 1.0)[:, None] ** lamp.data.growth
-        records["size"] *= lengths[:, :2]
+        spot = records["kind"] == LightKind.SPOT
+        records["size"] *= lengths[:, :2] / np.where(spot[:, None], lengths[:, 2:], 1.0)
         records["visibility"] = (
             lamp.visible if isinstance(lamp.visible, int) else np.tile(np.asarray(lamp.visible)[good], len(record))
         )

@@ -46,6 +46,8 @@ from .world import VIEW, ExtractedWorld, extract_world
 MUCH = 0.25
 DISPLACED = "displacement by much of a mesh's size not rendered: these meshes stay, and what is within their reach"
 CATCHERS = "shadow catchers: no error bound holds for light, beside shadows, that they show; --verify measures it"
+VOLUME = ": volume not rendered"  # ends lines of objects that are one
+VOLUMES = f"volume objects: what they light, and what only lights them or throws shadows into them, {WORTHLESS}"
 VELOCITY = f"velocities not rendered: what is seen, lit or shaded by what they blur, elsewhere than it is, {WORTHLESS}"
 CAUSTICS = f"shadow caustics not rendered: what only lights them, or shades them, {WORTHLESS}"
 Look = Callable[[GraphReader, Sequence[Node]], None]  # is shown a graph, and the objects at its top
@@ -232,6 +234,8 @@ class SceneReader:
             )
         approximated = dict.fromkeys((*scene.approximated, *world.approximated))
         warnings = (*warnings, *(line for line in approximated if self.most and line.endswith(WORTHLESS)))
+        if self.most and any(line.startswith("object ") and line.endswith(VOLUME) for line in approximated):
+            warnings = (*warnings, VOLUMES)
         if self.most and (scene.instances.flags & InstanceFlag.SHADOW_CATCHER).any():
             warnings = (*warnings, CATCHERS)
         view = next((line for line in world.approximated if self.most and line.endswith(VIEW)), "")

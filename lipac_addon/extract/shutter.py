@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import bpy
@@ -14,9 +14,11 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ...core.arrays import F64, Records
+from ...core.feedback.tiles import COLUMNS
 from ...core.scene.model import Camera, Film, Scene
 from ..keys import Keys, full_name, packed
 from .camera import extract_camera
+from .materials.reader import WORTHLESS
 
 CAMERAS = 64  # of an exposure: a path takes one of them
 OPENS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}  # when the shutter opens, in its own time after the frame
@@ -74,25 +76,61 @@ def read_shutter(depsgraph: Any, film: Film, at: Callable[[float], None]) -> Shu
 
 
 class Passing:
-    """What passes during an exposure where none of the moments that are looked at finds it: it stays."""
+    """What passes during an exposure where none of the moments that are looked at finds it: it stays, and what it does
+    there to others is said to be left out."""
 
     def __init__(self) -> None:
-        self._seen: list[tuple[float, Records, F64]] = []
+        self._seen: list[tuple[float, Records, Scene]] = []
 
     def add(self, at: float, keys: Keys, scene: Scene) -> None:
         """Take in a moment: so many frames after the frame, where its instances are."""
-        self._seen.append((at, keys.records, scene.instances.bounds + scene.origin[None, None]))
+        self._seen.append((at, keys.records, scene))
 
     def found(self) -> list[Records]:
-        """Records of KEY of instances that move by more than their own size from one moment to the next."""
+        """Records of KEY of instances that move by more than their own size from one moment to the next, and of those
+        larger than a tile that turn so far: wheels."""
         out = []
         moments = sorted(self._seen, key=lambda moment: moment[0])
         for (_, records, before), (_, others, after) in pairwise(moments):
             _, i, j = np.intersect1d(packed(records), packed(others), return_indices=True)
-            a, b = before[i], after[j]
-            gap = np.maximum(b[:, 0] - a[:, 1], a[:, 0] - b[:, 1]).max(axis=1)
-            out.append(records[i[gap > (a[:, 1] - a[:, 0]).max(axis=1)]])
+            a, b = (
+                scene.instances.bounds[rows] + scene.origin[None, None] for scene, rows in ((before, i), (after, j))
+            )
+            size = (a[:, 1] - a[:, 0]).max(axis=1)
+            way = np.maximum(b[:, 0] - a[:, 1], a[:, 0] - b[:, 1]).max(axis=1)
+            far = way > size
+            large = np.flatnonzero(~far & (size > _tile(before.camera, a - before.origin[None, None])))
+            far[large] = _turned(before, i[large], after, j[large]) > size[large]
+            out.append(records[i[far]])
         return out
+
+
+def _tile(camera: Camera, boxes: F64) -> F64:
+    """(n,) how wide a tile of the picture is at the nearest point of boxes, (n, 2, 3) relative to the scene's
+    origin."""
+    place = camera.to_world[:, 3]
+    distance = np.linalg.norm(np.clip(place, boxes[:, 0], boxes[:, 1]) - place, axis=1)
+    width = float(abs(camera.frame[1] - camera.frame[0])) / COLUMNS
+    return np.full_like(distance, width) if camera.orthographic else width * distance
+
+
+def in_between(count: int) -> str:
+    """A line for so many instances that are elsewhere between the moments that are looked at."""
+    return (
+        f"motion blur: what {count} instance{'s' if count > 1 else ''} that move{'' if count > 1 else 's'} far while "
+        f"the shutter is open hide{'' if count > 1 else 's'}, light{'' if count > 1 else 's'} or "
+        f"shade{'' if count > 1 else 's'} between the moments that were looked at {WORTHLESS}"
+    )
+
+
+def _turned(before: Scene, i: NDArray[np.int64], after: Scene, j: NDArray[np.int64]) -> F64:
+    """(n,) how far corners of the boxes of meshes move at most about their centres, as rows i of a scene become rows j
+    of another."""
+    box = before.mesh_bounds[before.instances.mesh[i]].astype(np.float64)
+    half = np.maximum((box[:, 1] - box[:, 0]) / 2, 0.0)
+    step = after.instances.transform[j, :, :3].astype(np.float64) - before.instances.transform[i, :, :3]
+    ways = [np.einsum("nij,nj->ni", step, half * signs) for signs in product((-1.0, 1.0), repeat=3)]
+    return np.asarray(np.max([np.linalg.norm(way, axis=1) for way in ways], axis=0))
 
 
 def of_more_steps(keys: Keys) -> NDArray[np.bool_]:

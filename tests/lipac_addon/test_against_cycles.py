@@ -162,6 +162,12 @@ def test_lamps(stage, tmp_path, name):
     check(tmp_path, samples=4)
 
 
+def test_a_spot_of_uneven_scale(stage, tmp_path):
+    """Its cone is an ellipse, and wider than long."""
+    lamp("SPOT", (1, -2, 3), 300, shadow_soft_size=0.2, spot_size=0.5, spot_blend=0.4).scale = (3, 0.5, 1.5)
+    check(tmp_path, samples=4)
+
+
 def test_lamps_that_are_seen(stage, tmp_path):
     """By the camera and in a mirror; one of them only by the mirror."""
     paint("Sphere", shader("ShaderNodeBsdfPrincipled", Metallic=1.0, Roughness=0.05))

@@ -16,6 +16,7 @@ from ...scene.model import AreaShape, LightKind
 # K_RADIANCE: radiance; intensity of a lamp without size, irradiance of a sun without angle
 K_KIND, K_P, K_X, K_Y, K_Z, K_RADIANCE = 0, 1, 4, 7, 10, 13
 K_RADIUS, K_COS_HALF, K_SMOOTH = 16, 17, 18  # spot: smoothstep((cos - K_COS_HALF) K_SMOOTH)
+# of a spot: by how much its cone is narrower across than along
 K_LENGTH_X, K_LENGTH_Y, K_ELLIPSE, K_TAN_SPREAD, K_SPREAD_SCALE = 19, 20, 21, 22, 23  # K_SPREAD_SCALE: 0 without spread
 # K_CONE: 1 - cos of the half angle of a sun
 K_VISIBILITY, K_SHADOW, K_MIS, K_BOUNCES, K_SPHERE, K_CONE = 24, 25, 26, 27, 28, 29
@@ -54,6 +55,7 @@ def lamp_constants(lights: Records) -> F32:
     cos_half = np.cos(lights["spot_size"].astype(np.float64) / 2)
     out[:, K_COS_HALF] = cos_half
     out[:, K_SMOOTH] = 1 / np.maximum((1 - cos_half) * lights["spot_blend"], 1e-7)
+    size[kind == SPOT] = 1 / np.where(size[kind == SPOT] > 0, size[kind == SPOT], 1.0)
     out[:, K_LENGTH_X], out[:, K_LENGTH_Y], out[:, K_ELLIPSE] = size[:, 0], size[:, 1], ellipse
     spread = lights["spread"].astype(np.float64)
     a = np.maximum(np.minimum(spread, np.pi) / 2, _MIN_HALF_SPREAD)
@@ -85,6 +87,10 @@ def one_minus_cos(sin2):
 def spot_falloff(k, dx, dy, dz):
     """Share of a spot's light that leaves along direction d (unit, away from the lamp)."""
     c = -(k[10] * dx + k[11] * dy + k[12] * dz)
+    if k[19] != _ONE or k[20] != _ONE:
+        a = (k[4] * dx + k[5] * dy + k[6] * dz) * k[19]
+        b = (k[7] * dx + k[8] * dy + k[9] * dz) * k[20]
+        c /= math.sqrt(max(a * a + b * b + c * c, np.float32(1e-30)))
     x = min(max((c - k[17]) * k[18], _ZERO), _ONE)
     return x * x * (np.float32(3.0) - _TWO * x)
 

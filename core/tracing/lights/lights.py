@@ -296,7 +296,11 @@ def _lamp_bounds(light: np.void, k: F32) -> tuple[Any, ...]:
     r = float(k[16])
     power = max(radiance * (np.pi * r * r if r > 0 else 1.0) * 4 * np.pi, 1e-20)
     if light["kind"] == SPOT:
-        return p - r, p + r, axis, 0.0, min(float(light["spot_size"]) / 2, np.pi), power, False
+        half = min(float(light["spot_size"]) / 2, np.pi)
+        wide = max(1.0, *light["size"].tolist())
+        if wide > 1:
+            half = float(np.arctan(np.tan(half) * wide)) if half < np.pi / 2 else np.pi
+        return p - r, p + r, axis, 0.0, half, power, False
     return p - r, p + r, axis, np.pi, np.pi / 2, power, False
 
 

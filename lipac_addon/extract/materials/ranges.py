@@ -4,7 +4,7 @@ most."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,7 @@ UNIT, SIGNED = (0.0, 1.0), (-1.0, 1.0)
 # What the values of nodes lie within. Noise that is normalised is 0 to 1 but for rare peaks.
 RANGES = {
     **dict.fromkeys(
-        (
-            "TEX_WAVE", "TEX_GRADIENT", "TEX_MAGIC", "TEX_CHECKER", "TEX_BRICK", "TEX_WHITE_NOISE", "RGBTOBW", "INVERT",
-            "CLAMP"
-        ),
+        ("TEX_WAVE", "TEX_GRADIENT", "TEX_MAGIC", "TEX_WHITE_NOISE", "CLAMP"),
         UNIT,
     ),
     **dict.fromkeys(("FRESNEL", "LAYER_WEIGHT", "AMBIENT_OCCLUSION", "WIREFRAME"), UNIT),
@@ -34,6 +31,7 @@ OUTPUTS = {
     **{("NEW_GEOMETRY", name): SIGNED for name in ("Normal", "True Normal", "Tangent", "Incoming")},
     **{("TEX_COORD", name): UNIT for name in ("Generated", "Window")},
     **{("TEX_COORD", name): SIGNED for name in ("Normal", "Reflection")},
+    **{(kind, name): UNIT for kind in ("TEX_CHECKER", "TEX_BRICK") for name in ("Factor", "Fac")},
     ("TEX_VORONOI", "Color"): UNIT,
     **{("TEX_VORONOI", name): UNKNOWN for name in ("Position", "W", "Radius")},
 }
@@ -42,18 +40,21 @@ AROUND = {"AMBIENT_OCCLUSION": "Distance", "MATERIAL_RAYCAST": "Length"}
 FARTHEST = 1e30
 MOST = 10.0, 100.0  # what a colour and what a number is taken to be at most, where nothing says what bounds it
 _ASSUMED: ContextVar[bool] = ContextVar("whether that is assumed", default=False)
+GROWTH = {"Quadratic": 0, "Linear": 1, "Constant": 2}  # of outputs of Light Falloff, against that of light
+FAR = 100.0  # metres, taken to be the most from which something is lit that does not say how bright it is there
+_FAR: ContextVar[float] = ContextVar("from how far something is lit, in metres", default=FAR)
 
 
-def most_of(socket: Any) -> float:
-    """The most that the value of a socket of emission may be."""
-    _, high = range_of(socket)
-    if np.isfinite(high):
-        return high
-    token = _ASSUMED.set(True)
-    try:
-        return range_of(socket)[1]
-    finally:
-        _ASSUMED.reset(token)
+def most_of(socket: Any, far: float = FAR) -> float:
+    """The most that the value of a socket of emission may be, seen from within far metres."""
+    return copy_context().run(_most_of, socket, far)
+
+
+def _most_of(socket: Any, far: float) -> float:
+    _FAR.set(far)
+    if not np.isfinite(range_of(socket)[1]):
+        _ASSUMED.set(True)
+    return range_of(socket)[1]
 
 
 def total(a: Interval, b: Interval) -> Interval:
@@ -102,6 +103,8 @@ def _output_range(node: Any, socket: Any) -> Interval:
         return UNIT
     if socket.name == "Alpha":
         return UNIT
+    if node.type == "LIGHT_FALLOFF":
+        return product(range_of(node.inputs["Strength"]), (0.0, _FAR.get() ** GROWTH[socket.name]))
     if (node.type, socket.name) == ("OBJECT_INFO", "Color"):
         return attributes.bounds_of("color") or UNIT
     if method is not None:
@@ -230,8 +233,46 @@ def _combined(node: Any) -> Interval:
     return _hull((0.0, 0.0), range_of(node.inputs[2])) if node.mode == "HSV" else UNKNOWN  # no channel is above V
 
 
+def _colors(node: Any) -> Interval:
+    """Tiles: of any of the colours of a node."""
+    return _hull(*(range_of(socket) for socket in node.inputs if socket.type == "RGBA"))
+
+
+def _invert(node: Any) -> Interval:
+    a = range_of(node.inputs["Color"])
+    return _hull(a, total((1.0, 1.0), negative(a)))
+
+
+def _hue_saturation(node: Any) -> Interval:
+    """No channel of a colour of which hue and saturation differ is above the largest, or below 0."""
+    a = range_of(node.inputs["Color"])
+    return _hull(a, (0.0, 0.0), product(a, range_of(node.inputs["Value"])))
+
+
+def _contrast(node: Any) -> Interval:
+    color, bright, contrast = (range_of(socket) for socket in node.inputs[:3])
+    out = total(total(product(total((1.0, 1.0), contrast), color), bright), product(contrast, (-0.5, -0.5)))
+    return max(out[0], 0.0), max(out[1], 0.0)
+
+
+def _gamma(node: Any) -> Interval:
+    (low, high), powers = range_of(node.inputs["Color"]), range_of(node.inputs["Gamma"])
+    if low < 0 or powers[0] < 0 or not np.isfinite((high, *powers)).all():
+        return UNKNOWN
+    ends = [x**y for x in (low, high) for y in powers]
+    return min(ends), max(ends)
+
+
 _NODES: dict[str, Callable[[Any], Interval]] = {
     "ATTRIBUTE": _attribute,
+    "TEX_CHECKER": _colors,
+    "TEX_BRICK": _colors,
+    "INVERT": _invert,
+    "HUE_SAT": _hue_saturation,
+    "BRIGHTCONTRAST": _contrast,
+    "GAMMA": _gamma,
+    "BLACKBODY": lambda _: (-0.5, 5.5),  # of 800 K and less; the luminance of all is 1
+    "TEX_ENVIRONMENT": _image,
     "TEX_NOISE": _noise,
     "TEX_VORONOI": _voronoi,
     "TEX_IMAGE": _image,
@@ -250,16 +291,18 @@ _NODES: dict[str, Callable[[Any], Interval]] = {
 }
 
 
-def glow_of(socket: Any) -> float:
-    """The most that a metre of what is linked to a Volume socket of an inlined tree emits, in any channel, W/m2/sr;
-    that of a black body, or by attributes of a grid, may be anything."""
+def glow_of(socket: Any, far: float = FAR) -> float:
+    """The most that what is linked to the Surface socket of a lamp's inlined tree emits, or a metre of what is linked
+    to a Volume socket, in any channel, W/m2/sr; that of a black body, or by attributes of a grid, may be anything.
+    far: as of `most_of`."""
     if not socket.is_linked:
         return 0.0
     node = socket.links[0].from_node
     if node.type in {"ADD_SHADER", "MIX_SHADER"}:
-        return max(glow_of(one) for one in node.inputs if one.type == "SHADER")
+        both = [glow_of(one, far) for one in node.inputs if one.type == "SHADER"]
+        return sum(both) if node.type == "ADD_SHADER" else max(both)
     if node.type == "EMISSION":
-        return _at_most(node.inputs["Color"], node.inputs["Strength"])
+        return max(most_of(node.inputs["Color"], far), 0.0) * max(most_of(node.inputs["Strength"], far), 0.0)
     if node.type == "PRINCIPLED_VOLUME":
         hot = most_of(node.inputs["Blackbody Intensity"]) > 0
         return _at_most(node.inputs["Emission Color"], node.inputs["Emission Strength"]) + (MOST[0] if hot else 0.0)

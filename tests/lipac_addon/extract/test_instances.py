@@ -14,6 +14,7 @@ from lipac.core.scene.model import InstanceFlag, RayType
 from lipac.core.scene.placing import usable_transforms
 from lipac.lipac_addon.extract import ExtractedWorld, Extraction, extract, extract_world, with_render_depsgraph
 from lipac.lipac_addon.extract.graph_items import ray_visibility
+from lipac.lipac_addon.extract.scene import VOLUME, VOLUMES
 from lipac.lipac_addon.extract.session import extract_frame
 from lipac.lipac_addon.keys import Kind, full_name
 
@@ -531,3 +532,15 @@ def test_what_simplify_leaves_out_is_not_there(far: bool) -> None:
     for item in (*items.values(), source):
         item.cycles.use_distance_cull = True
     assert shown() == ([1, 1, 1, 1, 0, 4] if far else [1, 1, 0, 0, 0, 2])
+
+
+def test_what_volume_objects_show_is_said_to_be_worth_nothing() -> None:
+    """They stay, but not what they alone show or light: one warning, however many there are."""
+    add("floor", cube())
+    for k in range(2):
+        add(f"smoke {k}", bpy.data.volumes.new(f"smoke {k}"))
+    extraction = extract_frame(bpy.context.scene)
+    assert extraction.warnings.count(VOLUMES) == 1
+    assert [line for line in extraction.scene.approximated if line.endswith(VOLUME)] == [
+        f"object smoke {k}{VOLUME}" for k in range(2)
+    ]

@@ -137,8 +137,43 @@ def test_a_lamp_that_takes_light_away() -> None:
     assert r["unsure"] == 2
 
 
+def test_the_scale_of_a_spot_is_that_of_its_cone() -> None:
+    """As in Cycles, by the lengths of its axes across against that along it; of other lamps it counts nothing."""
+    add("spot", lamp("SPOT", energy=2.0), scale=(3, 1, 2))
+    np.testing.assert_allclose(one()["size"], (1.5, 0.5), rtol=1e-6)
+
+
+def test_a_lamp_of_other_nodes_than_emission_is_as_bright_as_they_may_be() -> None:
+    """Two emissions mixed by what looks, a third one added."""
+    data = lamp("POINT", energy=2.0)
+    tree = data.node_tree
+    if tree is None:
+        pytest.skip("this Blender makes lights without a node tree")
+    tree.nodes.clear()
+    output, mix, plus = (
+        tree.nodes.new(f"ShaderNode{kind}") for kind in ("OutputLight", "MixShader", "AddShader")
+    )
+    emissions = [tree.nodes.new("ShaderNodeEmission") for _ in range(3)]
+    for node, strength in zip(emissions, (3.0, 7.0, 5.0), strict=True):
+        node.inputs["Strength"].default_value = strength
+    tree.links.new(tree.nodes.new("ShaderNodeLightPath").outputs["Is Glossy Ray"], mix.inputs[0])
+    for a, b in (
+        (emissions[0].outputs[0], mix.inputs[1]),
+        (emissions[1].outputs[0], mix.inputs[2]),
+        (mix.outputs[0], plus.inputs[0]),
+        (emissions[2].outputs[0], plus.inputs[1]),
+        (plus.outputs[0], output.inputs["Surface"]),
+    ):
+        tree.links.new(a, b)
+    add("lamp", data)
+    r = one()
+    np.testing.assert_allclose(r["power"], 2 * (7 + 5))
+    assert r["unsure"] == 1
+
+
+@pytest.mark.parametrize("far", [False, True])  # through another node
 @pytest.mark.parametrize(("output", "power"), [("Quadratic", 0), ("Linear", 1), ("Constant", 2)])
-def test_a_light_falloff_is_as_bright_as_it_may_be(output: str, power: int) -> None:
+def test_a_light_falloff_is_as_bright_as_it_may_be(output: str, power: int, far: bool) -> None:
     """As at a distance of a metre, or, where it falls off by less than light does, at the farthest corner; and said."""
     data = lamp("POINT", energy=2.0)
     tree = data.node_tree
@@ -147,10 +182,17 @@ def test_a_light_falloff_is_as_bright_as_it_may_be(output: str, power: int) -> N
     emission = next((n for n in tree.nodes if n.type == "EMISSION"), None) or tree.nodes.new("ShaderNodeEmission")
     falloff = tree.nodes.new("ShaderNodeLightFalloff")
     falloff.inputs["Strength"].default_value = 50.0
-    tree.links.new(falloff.outputs[output], emission.inputs["Strength"])
+    socket = falloff.outputs[output]
+    if far:
+        node = tree.nodes.new("ShaderNodeMath")
+        node.operation, node.inputs[1].default_value = "MULTIPLY", 3.0
+        tree.links.new(socket, node.inputs[0])
+        socket = node.outputs[0]
+    tree.links.new(socket, emission.inputs["Strength"])
     add("lamp", data, location=(0, 0, 9))
     extraction = extracted()
-    np.testing.assert_allclose(extraction.scene.lights["power"], 100.0 * np.sqrt(1 + 1 + 10**2) ** power, rtol=1e-5)
+    most = 100.0 * (3 if far else 1) * np.sqrt(1 + 1 + 10**2) ** power
+    np.testing.assert_allclose(extraction.scene.lights["power"], most, rtol=1e-5)
     assert extraction.scene.lights["unsure"].all()
     assert len(extraction.scene.approximated) == 1
 

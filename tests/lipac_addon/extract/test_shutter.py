@@ -15,6 +15,7 @@ from lipac.lipac_addon.batch.job import Job
 from lipac.lipac_addon.batch.pipeline import run
 from lipac.lipac_addon.depsgraph import go_to
 from lipac.lipac_addon.extract import Extractor, extract_frame
+from lipac.lipac_addon.extract.materials.reader import WORTHLESS
 from lipac.lipac_addon.extract.scene import VELOCITY
 from lipac.lipac_addon.extract.shutter import CAMERAS, Passing, of_more_steps
 from lipac.lipac_addon.keys import any_of
@@ -191,6 +192,27 @@ def test_what_passes_between_the_moments_stays(exposed: Any, speed: float, passe
             other = extractor.frame(at=moment)
             seen.add(moment, other.keys, other.scene)
     assert any_of(extraction.keys.records, seen.found()).tolist() == [passes]
+
+
+@pytest.mark.parametrize(("size", "turn", "passes"), [(1.0, np.pi, True), (1.0, 0.3, False), (0.02, np.pi, False)])
+def test_what_a_wheel_hides_between_the_moments_is_said(
+    exposed: Any, tmp_path: Any, size: float, turn: float, passes: bool
+) -> None:
+    """It stays where it is, and its spokes are elsewhere; not of what is smaller than a tile."""
+    wheel = bpy.data.objects["cube"]
+    wheel.scale = (size,) * 3
+    animate(wheel, "rotation_euler", 2, (0, 0.0), (10, 20 * turn))
+    seen = Passing()
+    with Extractor(exposed) as extractor:
+        extraction = extractor.frame()
+        seen.add(0.0, extraction.keys, extraction.scene)
+        for moment in extraction.moments:
+            other = extractor.frame(at=moment)
+            seen.add(moment, other.keys, other.scene)
+    assert any_of(extraction.keys.records, seen.found()).tolist() == [passes]
+    report = Report("wheel", "", "", "light-paths", "", 0, 1)
+    run(Job(tmp_path, (5,), CullOptions(seed=1)), report)
+    assert any(line.endswith(WORTHLESS) for line in report.warnings) == passes
 
 
 def test_what_moves_along_more_places_stays(exposed: Any) -> None:

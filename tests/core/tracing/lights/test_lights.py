@@ -16,7 +16,15 @@ from lipac.core.tracing.lights.environment import (
     sample_environment,
     uv_direction,
 )
-from lipac.core.tracing.lights.lamps import K_RADIANCE, lamp_constants, lamp_hit, lamp_pdf, lamp_share, sample_lamp
+from lipac.core.tracing.lights.lamps import (
+    K_RADIANCE,
+    lamp_constants,
+    lamp_hit,
+    lamp_pdf,
+    lamp_share,
+    sample_lamp,
+    spot_falloff,
+)
 from lipac.core.tracing.lights.lights import Lights, emissive_instances
 
 from ... import scenes
@@ -32,7 +40,8 @@ def lamp(kind: s.LightKind, **fields: object) -> s.Records:
     light = np.zeros(1, s.LIGHT)
     light["kind"], light["position"], light["power"] = kind, (1, 2, 3), 100.0
     light["axis_x"], light["axis_y"], light["axis_z"] = TURN.T
-    light["size"], light["spread"], light["spot_size"], light["spot_blend"] = (1.5, 0.7), np.pi, 1.2, 0.3
+    light["size"] = 1.0 if kind == s.LightKind.SPOT else (1.5, 0.7)
+    light["spread"], light["spot_size"], light["spot_blend"] = np.pi, 1.2, 0.3
     light["visibility"], light["cast_shadow"], light["normalize"], light["use_mis"], light["max_bounces"] = (
         s.ALL_RAYS, 1, 1, 1, 1024
     )
@@ -45,6 +54,7 @@ SHAPES = {
     "sphere": lamp(s.LightKind.POINT, radius=0.4),
     "disk": lamp(s.LightKind.POINT, radius=0.4, soft_falloff=1),
     "spot": lamp(s.LightKind.SPOT, radius=0.3),
+    "wide spot": lamp(s.LightKind.SPOT, radius=0.3, size=(2.0, 0.5)),
     "soft spot": lamp(s.LightKind.SPOT, radius=0.3, soft_falloff=1),
     "rectangle": lamp(s.LightKind.AREA),
     "ellipse": lamp(s.LightKind.AREA, shape=s.AreaShape.ELLIPSE),
@@ -97,6 +107,16 @@ def test_the_density_integrates_to_one(name: str) -> None:
         if t >= 0:
             x[i] = lamp_pdf(k, *p, *w, t) * 2 * np.pi
     assert abs(x.mean() - 1) < 5 * x.std() / np.sqrt(len(x))
+
+
+@pytest.mark.parametrize("size", [(1.0, 1.0), (3.0, 0.5), (0.0, 0.0)])
+def test_the_cone_of_a_spot_is_as_wide_as_its_scale(size: tuple[float, float]) -> None:
+    """As far as the tangent of half its angle times its width; a cone of no size given is round."""
+    k = lamp_constants(lamp(s.LightKind.SPOT, size=size, spot_size=1.0, spot_blend=0.0))[0]
+    for axis, wide in enumerate(size):
+        for slope, lit in ((0.98, 1.0), (1.02, 0.0)):
+            d = TURN[:, axis] * np.tan(0.5) * slope * (wide or 1.0) - TURN[:, 2]
+            assert spot_falloff(k, *(d / np.linalg.norm(d)).astype(np.float32)) == lit
 
 
 @pytest.mark.parametrize("kind", ["sphere", "disk", "no size"])

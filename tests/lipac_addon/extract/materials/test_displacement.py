@@ -65,9 +65,28 @@ def floats(t: Tree) -> Any:
     return t.new("ShaderNodeTexImage", image=image(pixels, floats=True, data=True)).outputs[0]
 
 
+def of(kind: str, inputs: dict[int | str, Any], output: int | str = 0) -> Any:
+    """A node's output, by the names of its inputs; "noise" stands for one."""
+
+    def source(t: Tree) -> Any:
+        values = {k: noise(t) if isinstance(v, str) and v == "noise" else v for k, v in inputs.items()}
+        return t.new(kind, values).outputs[output]
+
+    return source
+
+
 @pytest.mark.parametrize(
     ("source", "inputs", "expected"),
     [
+        (of("ShaderNodeTexChecker", {"Color1": (6, 3, 1, 1), "Color2": (0, 0, 0, 1)}), {}, (0.0, 6.0)),
+        (of("ShaderNodeTexChecker", {"Color1": (6, 3, 1, 1)}, 1), {}, (0.0, 1.0)),
+        (of("ShaderNodeTexBrick", {"Color1": (2, 3, 1, 1), "Mortar": (7, 0, 0, 1)}), {}, (0, 7)),
+        (of("ShaderNodeInvert", {1: (5, 5, 0, 1), 0: "noise"}), {}, (-4.0, 5.0)),
+        (of("ShaderNodeHueSaturation", {"Color": "noise", "Value": 20.0}), {}, (0.0, 20.0)),
+        (of("ShaderNodeBrightContrast", {0: "noise", 1: 3.0, 2: 2.0}), {}, (2.0, 5.0)),
+        (of("ShaderNodeGamma", {0: "noise", 1: 2.0}), {}, (0.0, 1.0)),
+        (of("ShaderNodeLightFalloff", {"Strength": 3.0}, "Quadratic"), {}, (0.0, 3.0)),
+        (of("ShaderNodeLightFalloff", {"Strength": 3.0}, "Constant"), {}, (0.0, 30000.0)),
         (None, {"height": 0.7, "midlevel": 0.5, "scale": 2.0}, (0.4, 0.4)),
         (noise, {"midlevel": 0.5, "scale": 0.2}, (-0.1, 0.1)),
         (noise, {"midlevel": 0.0, "scale": -3.0}, (-3.0, 0.0)),
@@ -85,7 +104,7 @@ def floats(t: Tree) -> Any:
 )
 def test_ranges(source: Any, inputs: dict[str, float], expected: tuple[float, float]) -> None:
     """What heights lie within, by their nodes; infinite where nobody can say."""
-    t = displaced(source, **inputs)
+    t = displaced(source, **(inputs or {"midlevel": 0.0, "scale": 1.0}))
     inlined = t.material.inline_shader_nodes()
     relief = relief_of(inlined.node_tree)
     assert relief is not None
