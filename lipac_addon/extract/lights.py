@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ...core.arrays import F64, Records
 from ...core.scene.model import LIGHT, AreaShape, LightKind
 from ...core.scene.placing import usable_transforms
-from .materials.ranges import GROWTH, glow_of, most_of
+from .materials.converter import UNBOUNDED
+from .materials.ranges import GROWTH, glow_of, is_bounded, most_of
 
 KINDS = {"POINT": LightKind.POINT, "SUN": LightKind.SUN, "SPOT": LightKind.SPOT, "AREA": LightKind.AREA}
 
@@ -45,6 +46,8 @@ def _node_strength(light: Any, report: Callable[[str], None], most: bool) -> tup
             source = socket.links[0].from_node
             if most:
                 factor = factor * max(most_of(socket, 1.0), 0.0)
+                if not is_bounded(socket):
+                    report(f"light {light.name}: {UNBOUNDED}")
             elif source.type == "LIGHT_FALLOFF" and not source.inputs["Strength"].is_linked:
                 factor = factor * source.inputs["Strength"].default_value
         else:

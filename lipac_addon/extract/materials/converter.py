@@ -11,7 +11,7 @@ import numpy as np
 from ....core.arrays import Records
 from ....core.scene.model import BY_ANGLE, Shader, Unsure, default_material
 from .arithmetic import Array
-from .ranges import glow_of, most_of, range_of, scatters
+from .ranges import MOST, glow_of, is_bounded, most_of, range_of, scatters
 from .reader import LUMINANCE, MEAN, WORTHLESS, Reader, Value, grey
 from .textures import TextureTable
 from .trees import (
@@ -36,6 +36,10 @@ from .trees import (
 
 HALF = grey(0.5)
 FOG = f": what only lights it or throws shadows into it {WORTHLESS}"
+UNBOUNDED = (
+    f"emission that nothing bounds: colours are taken for {MOST[0]:g} at most and numbers for {MOST[1]:g}; what more "
+    f"of it lights {WORTHLESS}"
+)
 DARK = 0.15  # share of the places that are at most as bright as what is surely there: fewer fill no tile
 FINE = 0.15  # roughness up to which what a map of normals has lost is its bytes' rounding
 
@@ -91,6 +95,13 @@ def _doubt(record: Records, field: str, socket: Any) -> float:
             mark(record, Unsure.BEHIND)
             return UNKNOWN
     return 0.0
+
+
+def _most(socket: Any, report: Callable[[str], None]) -> Value:
+    """The most that a socket of emission may be; said where nothing bounds it."""
+    if not is_bounded(socket):
+        report(UNBOUNDED)
+    return grey(max(most_of(socket), 0.0))
 
 
 def _takes(record: Records, least: float, color: Value) -> bool:
@@ -238,8 +249,8 @@ class Converter:
         between = self.reader.doubts
         c = self.reader.value(color)
         if self.most and self.reader.doubts > before:
-            s = grey(max(most_of(strength), 0.0)) if between > before else s
-            c = grey(max(most_of(color), 0.0)) if self.reader.doubts > between else c
+            s = _most(strength, self.report) if between > before else s
+            c = _most(color, self.report) if self.reader.doubts > between else c
             record["unsure_emission"] = 1
         self.color(record, "emission", self.product(c, s))
         if self.most and _takes(record, range_of(strength)[0], c):
@@ -256,8 +267,8 @@ class Converter:
                 self.report(f"{source.bl_label} node on Normal not rendered: half of what is reflected is spread")
                 self._spread = max(self._spread, UNKNOWN if source.type == "BUMP" else ANY)
             return
-        value = self.reader.value(source.inputs["Color"])
-        if self.reader.flat(value) is not value:
+        before, value = self.reader.doubts, self.reader.value(source.inputs["Color"])
+        if self.reader.flat(value) is not value or (value.use is None and self.reader.doubts > before):
             self.report(f"{source.bl_label} node on Normal not rendered: half of what is reflected is spread")
             self._spread = max(self._spread, UNKNOWN)
             return
@@ -297,8 +308,7 @@ class Converter:
         return record
 
     def other(self, node: Any) -> Tree:
-        """Sheen, toon, hair and the like: diffuse with their colour, of which half is surely there; through hair light
-        comes, too."""
+        """Sheen, toon, hair and the like: diffuse, of which half is surely there; through hair light comes, too."""
         record = self.diffuse(node)
         if not self.most:
             return record

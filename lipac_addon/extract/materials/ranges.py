@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextvars import ContextVar, copy_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,9 @@ OUTPUTS = {
 # nodes that ask what is around, and the socket that says within how many metres
 AROUND = {"AMBIENT_OCCLUSION": "Distance", "MATERIAL_RAYCAST": "Length"}
 FARTHEST = 1e30
+BRIGHT = {".exr", ".hdr", ".tif", ".tiff", ".dpx", ".cin"}  # files whose pictures may be brighter than white
 MOST = 10.0, 100.0  # what a colour and what a number is taken to be at most, where nothing says what bounds it
+_LIT: ContextVar[bool] = ContextVar("whether what emits is asked for, which may be all that it may be", default=False)
 _ASSUMED: ContextVar[bool] = ContextVar("whether that is assumed", default=False)
 GROWTH = {"Quadratic": 0, "Linear": 1, "Constant": 2}  # of outputs of Light Falloff, against that of light
 FAR = 100.0  # metres, taken to be the most from which something is lit that does not say how bright it is there
@@ -52,8 +55,18 @@ def most_of(socket: Any, far: float = FAR) -> float:
 
 def _most_of(socket: Any, far: float) -> float:
     _FAR.set(far)
-    if not np.isfinite(range_of(socket)[1]):
+    if not is_bounded(socket):
         _ASSUMED.set(True)
+    return _end(socket)
+
+
+def is_bounded(socket: Any) -> bool:
+    """Whether something says what the value of a socket of emission is at most."""
+    return bool(np.isfinite(copy_context().run(_end, socket)))
+
+
+def _end(socket: Any) -> float:
+    _LIT.set(True)
     return range_of(socket)[1]
 
 
@@ -142,7 +155,8 @@ def _voronoi(node: Any) -> Interval:
 def _image(node: Any) -> Interval:
     image = node.image
     if image is not None and image.source not in {"FILE", "GENERATED"}:  # of others only the first picture can be read
-        return UNKNOWN
+        bright = image.is_float or Path(image.filepath).suffix.lower() in BRIGHT
+        return UNIT if _LIT.get() and not bright else UNKNOWN
     if image is None or not image.is_float:
         return UNIT
     pixels = np.empty(len(image.pixels), np.float32)

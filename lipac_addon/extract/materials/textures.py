@@ -111,9 +111,13 @@ class TextureTable:
         if image is None:
             return _magenta("an image texture node has no image: magenta, as in Cycles")
         width, height = image.size  # loads the file
+        exact = image.source not in {"TILED", "SEQUENCE", "MOVIE"}
+        if not exact and width * height == 0:  # of a sequence Blender asks for picture 0, which most do not have
+            line = f"image {image.name!r}: of {image.source.lower()} images none could be read, they may show anything"
+            return Pixels(np.full((1, 1, 4), 0.5, np.float32), False, (line,), False)
         if width == 0 or height == 0 or len(image.pixels) < width * height * image.channels:
             return _magenta(f"image {image.name!r} is missing ({image.filepath or 'no file'}): magenta, as in Cycles")
-        lines, exact = [], image.source not in {"TILED", "SEQUENCE", "MOVIE"}
+        lines = []
         if not exact:
             lines.append(f"image {image.name!r}: of {image.source.lower()} images only the first picture is used")
         space = image.colorspace_settings.name

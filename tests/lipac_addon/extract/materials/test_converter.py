@@ -26,7 +26,7 @@ from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.extract.materials.converter import DARK
 from lipac.lipac_addon.extract.materials.material_table import PICKED, MaterialTable
 from lipac.lipac_addon.extract.materials.ranges import FARTHEST
-from lipac.lipac_addon.extract.materials.reader import ANGLES, LUMINANCE
+from lipac.lipac_addon.extract.materials.reader import ANGLES, LUMINANCE, WORTHLESS
 from lipac.lipac_addon.extract.materials.textures import TextureTable, srgb_to_linear
 
 from ..conftest import add, cube
@@ -436,7 +436,7 @@ def test_half_passes_where_nobody_knows_how_much(kind: str) -> None:
 )
 def test_emission_that_is_not_known_is_the_most_that_it_may_be(kind: str, output: str | int, most: float) -> None:
     """A strength or a colour by what the tracer does not evaluate, or behind a share that it does not: the most, marked
-    as unsure; emission beside a colour that is not known is sure."""
+    as unsure, and said where nothing bounds it; emission beside a colour that is not known is sure."""
     t = Tree()
     source = t.new(f"ShaderNode{kind}").outputs[output]
     scaled = t.new("ShaderNodeMath", {0: source, 1: 8.0}, operation="MULTIPLY").outputs[0]
@@ -447,7 +447,8 @@ def test_emission_that_is_not_known_is_the_most_that_it_may_be(kind: str, output
         record, _, lines = t.record(node)
         strength = 8 * most
         np.testing.assert_allclose(record["emission"], strength * np.array([1, 0.5, 0.25]))
-        assert (record["unsure_emission"], len(lines)) == (1, 1)
+        assert record["unsure_emission"] == 1
+        assert [line.endswith(WORTHLESS) for line in lines] == ([False] if most == 1.0 else [False, True])
     record, _, _ = t.record(t.new("ShaderNodeEmission", {"Color": source, "Strength": 3.0}))
     np.testing.assert_allclose(record["emission"], 3 * most)
     assert record["unsure_emission"] == 1
@@ -456,6 +457,30 @@ def test_emission_that_is_not_known_is_the_most_that_it_may_be(kind: str, output
     assert [(part["emission"][0], part["unsure_emission"]) for part in parts] == [(6.0, 1), (0.0, 0)]
     record, _, _ = t.record(t.new("ShaderNodeBsdfPrincipled", {"Base Color": source, "Emission Strength": 1.0}))
     assert (record["emission"][0], record["unsure_emission"]) == (1.0, 0)
+
+
+@pytest.mark.parametrize("floats", [False, True])
+def test_films_may_show_anything(tmp_path: Path, floats: bool) -> None:
+    """Blender reads the picture of number 0 at most, which most sequences lack: of theirs nothing is known, and nothing
+    is magenta. They emit as much as white, and may be brighter where they are of floats, which is said."""
+    t = Tree()
+    first = image(np.ones((4, 4, 4), np.float32), floats=floats)
+    first.file_format, kind = ("OPEN_EXR", "exr") if floats else ("PNG", "png")
+    first.filepath_raw = str(tmp_path / f"film0001.{kind}")
+    first.save()
+    node = t.new("ShaderNodeTexImage", image=bpy.data.images.load(first.filepath_raw))
+    node.image.source = "SEQUENCE"
+    record, _, lines = t.record(t.new("ShaderNodeEmission", {"Color": node.outputs[0], "Strength": 3.0}))
+    np.testing.assert_allclose(record["emission"], 30.0 if floats else 3.0)
+    assert record["unsure_emission"] == 1
+    assert any(line.endswith(WORTHLESS) for line in lines) == floats
+    (record,), _, _ = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Alpha": node.outputs[1]}))
+    assert (record["alpha"], record["unsure"]) == (0.5, 3)
+    (record,), _, _ = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Base Color": node.outputs[0]}))
+    assert record["unsure"] & Unsure.LIGHT
+    bumped = t.new("ShaderNodeNormalMap", {"Color": node.outputs[0]}).outputs[0]
+    parts, _, _ = t.parts(t.new("ShaderNodeBsdfGlossy", {"Roughness": 0.0, "Normal": bumped}))
+    assert sorted(float(part["roughness"]) for part in parts[-2:]) == [0.0, 0.5]
 
 
 def test_emission_that_takes_light_away_gives_as_much() -> None:
