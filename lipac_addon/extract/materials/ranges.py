@@ -154,7 +154,8 @@ def _voronoi(node: Any) -> Interval:
 
 def _image(node: Any) -> Interval:
     image = node.image
-    if image is not None and image.source not in {"FILE", "GENERATED"}:  # of others only the first picture can be read
+    # of others the first picture can be read at most, of files with layers none
+    if image is not None and (image.source not in {"FILE", "GENERATED"} or 0 in image.size[:]):
         bright = image.is_float or Path(image.filepath).suffix.lower() in BRIGHT
         return UNIT if _LIT.get() and not bright else UNKNOWN
     if image is None or not image.is_float:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+import bpy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,6 +51,11 @@ class Pixels:
     lines: tuple[str, ...] = ()
     exact: bool = True
     reduced: bool = False
+
+
+def _is_there(image: Any) -> bool:
+    """Whether the file of an image exists."""
+    return len(image.packed_files) > 0 or Path(bpy.path.abspath(image.filepath, library=image.library)).is_file()
 
 
 def _magenta(line: str) -> Pixels:
@@ -112,8 +119,9 @@ class TextureTable:
             return _magenta("an image texture node has no image: magenta, as in Cycles")
         width, height = image.size  # loads the file
         exact = image.source not in {"TILED", "SEQUENCE", "MOVIE"}
-        if not exact and width * height == 0:  # of a sequence Blender asks for picture 0, which most do not have
-            line = f"image {image.name!r}: of {image.source.lower()} images none could be read, they may show anything"
+        if width * height == 0 and (not exact or _is_there(image)):
+            # of a sequence Blender asks for picture 0, which most do not have; of files with layers, for a pass
+            line = f"image {image.name!r} could not be read, it may show anything"
             return Pixels(np.full((1, 1, 4), 0.5, np.float32), False, (line,), False)
         if width == 0 or height == 0 or len(image.pixels) < width * height * image.channels:
             return _magenta(f"image {image.name!r} is missing ({image.filepath or 'no file'}): magenta, as in Cycles")

@@ -459,6 +459,25 @@ def test_emission_that_is_not_known_is_the_most_that_it_may_be(kind: str, output
     assert (record["emission"][0], record["unsure_emission"]) == (1.0, 0)
 
 
+def test_what_is_there_but_cannot_be_read_may_show_anything(tmp_path: Path) -> None:
+    """A picture with layers, whose passes Blender does not give out; what is not there is magenta, as in Cycles."""
+    scene, there, missing = bpy.context.scene, tmp_path / "layers.exr", tmp_path / "missing.exr"
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    scene.render.engine, scene.cycles.samples, scene.render.filepath = "CYCLES", 1, str(there)
+    bpy.ops.render.render(write_still=True)
+    first = bpy.data.images.load(str(there))
+    for path, unsure in ((there, 3), (missing, 0)):
+        t = Tree()
+        first.filepath = str(path)
+        node = t.new("ShaderNodeTexImage", image=first)
+        (record, *_), _, lines = t.parts(t.new("ShaderNodeBsdfPrincipled", {"Alpha": node.outputs[1]}))
+        assert (record["unsure"], any("magenta" in line for line in lines)) == (unsure, unsure == 0)
+
+
 @pytest.mark.parametrize("floats", [False, True])
 def test_films_may_show_anything(tmp_path: Path, floats: bool) -> None:
     """Blender reads the picture of number 0 at most, which most sequences lack: of theirs nothing is known, and nothing
