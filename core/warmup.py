@@ -37,17 +37,22 @@ def load_ahead(after: float = 0.0) -> None:
     if processors() == 1 or not _compiled():
         return
 
-    def load() -> None:
+    def try_to_load() -> None:
         with suppress(Exception):  # whoever needs it meets the error, and can tell the user
-            from .culling import shot as frames  # noqa: F401
-            from .tracing.tile_kernel import trace_tiles
+            load()
 
-            trace_tiles.compile((int64[:, ::1], int64[::1], uint64[::1]))
-
-    timer = threading.Timer(after, load)
+    timer = threading.Timer(after, try_to_load)
     timer.name = "kernels"
     _waiting.append(timer)
     timer.start()
+
+
+def load() -> None:
+    """Load the engine and nearly all of its kernels, or compile them."""
+    from .culling import shot as frames  # noqa: F401
+    from .tracing.tile_kernel import trace_tiles
+
+    trace_tiles.compile((int64[:, ::1], int64[::1], uint64[::1]))
 
 
 def _compiled() -> bool:

@@ -81,6 +81,10 @@ class Shot:
         self.loop = loop
         return result
 
+    def forget(self) -> None:
+        """Let go of the last frame, and what it has built: the next one is a fresh start, whatever its change."""
+        self.loop = None
+
     def _judges(self, scene: Scene) -> bool:
         """Whether a picture without any instance is no picture: things of the brightness of what is behind them, by
         materials that are known approximately, go unseen for nothing. Where a raster shows what is culled, or memory is

@@ -128,8 +128,9 @@ class RenderCosts:
         """What is said where a render takes more than a limit, whatever is culled. needed: what it takes at least."""
         fixed = self.at_most(self.fixed + self.process)
         return InputError(
-            f"--memory {_megabytes(limit)}: the render takes at least {_megabytes(needed)}: {_megabytes(fixed)} for "
-            f"Blender, the file and the picture, {_megabytes(needed - fixed)} for what cannot be culled"
+            f"a memory limit of {_megabytes(limit)} is too little: the render takes at least {_megabytes(needed)}: "
+            f"{_megabytes(fixed)} for Blender, the file and the picture, {_megabytes(needed - fixed)} for what cannot "
+            "be culled"
         )
 
     def with_images_that_stay(self, stay: NDArray[np.bool_]) -> RenderCosts:
@@ -159,6 +160,7 @@ class RenderCosts:
             fixed += int(cutting[mesh])
             geometry[mesh] = bvh[mesh] = 0
         geometry, bvh = (np.concatenate([of, *found]) for of, found in zip((geometry, bvh), more, strict=True))
+        fixed += int(self.instance[np.unique(owner)].sum(dtype=np.int64))  # each is there while a part of it is
         none: I64 = np.zeros(len(geometry) - len(cutting), np.int64)
         instance = np.concatenate([self.instance, np.zeros(len(owner), np.int32)])
         return replace(
@@ -167,5 +169,5 @@ class RenderCosts:
 
 
 def _megabytes(count: int) -> str:
-    """Rounded up, as --memory takes it."""
-    return f"{-(-count // 1_000_000)}M"
+    """Rounded up."""
+    return f"{-(-count // 1_000_000):,} MB"

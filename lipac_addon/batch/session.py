@@ -163,18 +163,28 @@ class Session:
             return _by_rule(extraction.scene, self.job.options, pinned)
         if self._shot is None:
             self._shot = Shot(self.job.options, independent=not self.job.warm)
-        scene = scene or extraction.scene
-        if extraction.moments or not self.alone:  # simplified meshes are judged by one moment of one picture
-            scene = replace(scene, simplifiable=None, coarser=None)
+        scene = of_one_picture(extraction, self.alone, scene)
         result = self._shot.advance(scene, extraction.change, progress, cancelled, pinned, how or decide)
-        if not self.job.options.levels or not isinstance(scene.coarser, EvaluatedCoarser):
-            return result
-        fixed = scene.coarser.kept(scene.instances.mesh[result.active])
-        return replace(result, warnings=(*result.warnings, *fixed))
+        return with_levels_that_stay(result, scene) if self.job.options.levels else result
 
     def decided(self, extraction: Extraction, progress: Progress, cancelled: Cancel) -> CullingResult:
         """As `decide`, of the frame as it is."""
         return self.decide(extraction, None, progress, cancelled)
+
+
+def of_one_picture(extraction: Extraction, alone: bool, scene: Scene | None = None) -> Scene:
+    """What is looked at of an extracted frame: simplified meshes are judged by one moment of one picture, and there are
+    none where there are more of these. alone: one view layer renders. scene: as of `Session.decide`."""
+    scene = scene or extraction.scene
+    return replace(scene, simplifiable=None, coarser=None) if extraction.moments or not alone else scene
+
+
+def with_levels_that_stay(result: CullingResult, scene: Scene) -> CullingResult:
+    """A result that says of what stays of a scene which meshes keep levels of subdivision, and why."""
+    if not isinstance(scene.coarser, EvaluatedCoarser):
+        return result
+    lines = scene.coarser.kept(scene.instances.mesh[result.active])
+    return replace(result, warnings=(*result.warnings, *lines))
 
 
 def _either(a: NDArray[np.bool_] | None, b: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:

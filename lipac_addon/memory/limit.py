@@ -18,15 +18,18 @@ from .costs import costs_of
 PROCESS = 430_000_000  # bytes of Blender as a module with an empty file, where the process that renders does not say
 
 
-def limited(extraction: Extraction, scene: bpy.types.Scene, process: int) -> tuple[Scene, NDArray[np.bool_]]:
+def limited(
+    extraction: Extraction, scene: bpy.types.Scene, process: int, lasting: bool = False
+) -> tuple[Scene, NDArray[np.bool_]]:
     """The scene that was extracted, with what a render of it takes; and (N,) bool, instances that no means can take
     away.
 
-    process: bytes of the process before it renders. Images that something loads whatever is culled are paid for anyway.
+    process: bytes of the process before it renders. lasting: as of `writeback.apply`, which then leaves sources as they
+    are. Images that something loads whatever is culled are paid for anyway.
     """
     one, keys = extraction.scene, extraction.keys
     count = len(one.instances)
-    plan = make_plan(np.ones(count, bool), keys, scene, faces=MappingProxyType({}), free=True)
+    plan = make_plan(np.ones(count, bool), keys, scene, lasting, faces=MappingProxyType({}), free=not lasting)
     gone = {full_name(ob) for ob in (*plan.objects, *plan.sources)}
     names = np.array([name in gone for name in keys.names] + [False], bool)  # the last is that of -1
     records = keys.records

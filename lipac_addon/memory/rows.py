@@ -17,7 +17,8 @@ from ...core.scene.mesh import divided_from
 from ...core.scene.model import RAY_TYPES, InstanceFlag, Instances
 from ...core.scene.render_costs import BVH_TRIANGLE
 from ..extract import Extraction
-from ..keys import Keys
+from ..keys import Keys, full_name
+from ..writeback.plan import Plan
 from .costs import NamedCosts, costs_of
 
 if TYPE_CHECKING:
@@ -42,9 +43,9 @@ WHOLE = "not divisible: its object, or a material of it, needs the whole mesh"
 class Outcome:
     """What became of N instances in a render. present: (N,) bool, those that it has; hits: (N, RAY_TYPES) light paths
     that met each; score: (N,) share of the picture that each may be worth, None where that was not measured; traced:
-    whether light paths were. share: by row of an instance, which share of its faces the render has, where that is not
-    all; level: by mesh, which share of its triangles a simplified one has that takes its place. obstacles: by full name
-    of an object, why it could not be culled."""
+    whether light paths were. share: by row of an instance, which share of its triangles the render has, where that is
+    not all; level: by mesh, which share of its triangles a simplified one has that takes its place. obstacles: by full
+    name of an object, why it could not be culled."""
 
     present: NDArray[np.bool_]
     hits: I64
@@ -70,7 +71,11 @@ class Weighed:
         """Of what was decided on a frame of a scene that was extracted."""
         named = costs_of(extraction, scene)
         score = result.score if "certified_mean" in result.stats else None
-        share = {row: float(mask.mean()) for row, mask in result.faces.items()}
+        sources, mesh = getattr(extraction.scene.meshes, "sources", None), extraction.scene.instances.mesh
+        share = {
+            row: float(mask.mean()) if sources is None else _of_triangles(sources[mesh[row]].geometry.mesh, mask)
+            for row, mask in result.faces.items()
+        }
         bvh = named.costs.bvh.tolist()
         level = {mesh: BVH_TRIANGLE * len(one) / max(bvh[mesh], 1) for mesh, one in result.stand_ins.items()}
         outcome = Outcome(result.active, result.hits, score, bool(result.stats.get("paths")), share, level)
@@ -82,6 +87,26 @@ class Weighed:
         n = len(instances)
         nothing = Outcome(np.ones(n, bool), np.zeros((n, RAY_TYPES), np.int64), None, False)
         return Weighed(named, instances, keys, nothing, 0)
+
+    @property
+    def in_full(self) -> Weighed:
+        """The same frame with nothing culled."""
+        outcome = replace(self.outcome, present=np.ones_like(self.outcome.present), share={}, level={})
+        return replace(self, outcome=outcome)
+
+    def by(self, plan: Plan) -> Weighed:
+        """The same frame, of which goes what a plan can take away: of a mesh some of whose objects keep it, nothing."""
+        cut, levelled = ({full_name(ob) for ob, _ in pairs} for pairs in (plan.faces, plan.levels))
+        names, mesh, ob = self.keys.names, self.instances.mesh, self.keys.records["object"]
+        share = {row: part for row, part in self.outcome.share.items() if names[ob[row]] in cut}
+        there = np.flatnonzero(~plan.removed & np.isin(mesh, list(self.outcome.level)))
+        whole = {
+            number
+            for number, n in zip(mesh[there].tolist(), ob[there].tolist(), strict=True)
+            if names[n] not in levelled
+        }
+        level = {number: part for number, part in self.outcome.level.items() if number not in whole}
+        return replace(self, outcome=replace(self.outcome, present=~plan.removed, share=share, level=level))
 
     def rows(
         self, removed: NDArray[np.bool_] | None = None, obstacles: Mapping[str, str] = NOTHING_KEPT
@@ -117,6 +142,15 @@ class Weighed:
         return replace(costs, geometry=geometry, bvh=bvh).total(
             self.instances.mesh, self.instances.slots, self.outcome.present if removed is None else ~removed, share
         )
+
+
+def _of_triangles(mesh: Any, stays: NDArray[np.bool_]) -> float:
+    """Which share of a mesh's triangles some of its faces have, (F,) bool; or, where each is a face, its triangles."""
+    if len(stays) != len(mesh.polygons):
+        return float(stays.mean())
+    corners: NDArray[np.int32] = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_total", corners)
+    return float(np.average(stays, weights=corners - 2))
 
 
 def memory_rows(named: NamedCosts, instances: Instances, keys: Keys, outcome: Outcome, frame: int) -> list[MemoryRow]:

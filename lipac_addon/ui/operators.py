@@ -13,9 +13,10 @@ from .jobs import analysis, engine, job, live
 from .jobs.analysis import AnalysisJob
 from .jobs.difference import DifferenceJob
 from .modal import BUSY, Explained, JobOperator
-from .state import applying, kernel_folder, props, results, session
+from .state import applying, asking, kernel_folder, props, results, session
 
 _UNANALYZED = "Analyze this frame first"
+EDITED = "Go to Object Mode first: a simplified mesh is being edited"
 
 
 class _Analysis(JobOperator):
@@ -53,12 +54,18 @@ class LIPAC_OT_bake_shot(_Analysis, bpy.types.Operator):
     bl_idname = "lipac.bake_shot"
     bl_label = "Bake Shot"
 
+    @classmethod
+    def obstacle(cls, context: bpy.types.Context) -> str:
+        limited = props.memory_limit(context.scene.lipac) > 0
+        return super().obstacle(context) or (asking.OF_FRAMES if limited else "")
+
     def create_job(self, context: bpy.types.Context) -> AnalysisJob:
         return AnalysisJob(context.scene, props.frame_range(context.scene), bake=True)
 
     def success_message(self) -> str:
-        kept, total = self.job.baked
-        return f"The shot needs {kept:,} of {total:,} instances{_futile(self.job)}"
+        kept, total, coarser = self.job.baked
+        levels = f", {coarser:,} objects coarser" if coarser else ""
+        return f"The shot needs {kept:,} of {total:,} instances{levels}{_futile(self.job)}"
 
     def needs_undo_step(self) -> bool:
         return self.job.was_applied or self.job.baked is not None
@@ -130,7 +137,8 @@ class LIPAC_OT_live(Explained, bpy.types.Operator):
 
 
 class LIPAC_OT_apply(Explained, bpy.types.Operator):
-    """Hide culled instances from renders of this file, until Restore. The viewport does not change"""
+    """Hide culled instances from renders of this file, until Restore. The viewport does not change, but for meshes that
+    Levels of Detail has simplified"""
 
     bl_idname = "lipac.apply"
     bl_label = "Apply to Render"
@@ -143,7 +151,8 @@ class LIPAC_OT_apply(Explained, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         applied = applying.apply(context.scene, results.of(context.scene)[context.scene.frame_current])
         faces = f", {applied.faces_removed:,} faces of others" if applied.faces_removed else ""
-        self.report({"INFO"}, f"Hidden from renders: {int(applied.removed.sum()):,} instances{faces}")
+        levels = f"; coarser: {applied.simplified:,} objects" if applied.simplified else ""
+        self.report({"INFO"}, f"Hidden from renders: {int(applied.removed.sum()):,} instances{faces}{levels}")
         for line in applying.notes:
             self.report({"WARNING"}, line)
         return {"FINISHED"}
@@ -158,15 +167,18 @@ class LIPAC_OT_restore(Explained, bpy.types.Operator):
 
     @classmethod
     def obstacle(cls, _context: bpy.types.Context) -> str:
-        return _occupied()
+        return _occupied() or (EDITED if applying.edits_level() else "")
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
+        before = applying.edited_levels()
         if not applying.restore():
             self.report({"INFO"}, "Nothing was hidden by LiPaC")
             return {"CANCELLED"}
         self.report({"INFO"}, "Everything is shown in renders again")
         if applying.comes_back():
             self.report({"WARNING"}, applying.comes_back())
+        if kept := applying.edited_levels() - before:
+            self.report({"WARNING"}, f"What you edited of simplified meshes is kept: {', '.join(sorted(kept))}")
         return {"FINISHED"}
 
 

@@ -80,6 +80,11 @@ class LIPAC_PT_main(_Sidebar, bpy.types.Panel):
             column = layout.column(align=True)
             column.prop(settings, "max_error")
             column.prop(settings, "worst_error")
+            column = layout.column(align=True)
+            column.prop(settings, "levels")
+            column.prop(settings, "limit_memory")
+            if settings.limit_memory:
+                column.prop(settings, "memory_limit")
         layout.prop(settings, "frames")
         if job.running is not None and not job.running.done:
             draw_running(layout, job.running)

@@ -71,6 +71,8 @@ class LIPAC_OT_submit_shot(Explained, bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self.report({"INFO"}, told)
+        if wanted.levels or wanted.memory:
+            self.report({"WARNING"}, "Levels of Detail and Limit Memory are no part of a farm's job: frames go without")
         if not bpy.app.background:
             bpy.ops.wm.path_open(filepath=str(folder))
         return {"FINISHED"}

@@ -14,10 +14,12 @@ import bpy
 
 from ..coarsening import is_animated
 from . import marks
+from .form import is_edited, is_sealed, unseal
 
 NAME = "LiPaC stand-in"
 _STAND_IN = "stand-in"  # the mark of these
 LEVEL = "level"  # and of simplified meshes (`levels`)
+EDITED_LEVEL = "LiPaC edited level"  # what the user has edited of one stays in the file by this name
 _KEPT = "lipac_kept"  # the custom property that points to the data
 _CURVES = {"CURVE", "SURFACE", "FONT"}
 
@@ -52,7 +54,8 @@ def empty(objects: Iterable[bpy.types.Object]) -> None:
 def fill_all() -> bool:
     """Put back what objects had whose data were exchanged, and remove what they had meanwhile; True where there was
     something. Modifiers have marks."""
-    emptied = [ob for ob in bpy.data.objects if _KEPT in ob]
+    # Blender exchanges no data in Edit Mode: the next call does
+    emptied = [ob for ob in bpy.data.objects if _KEPT in ob and (ob.mode == "OBJECT" or not _is_stand_in(ob.data))]
     for ob in emptied:
         data = ob[_KEPT]
         if (
@@ -70,6 +73,11 @@ def fill_all() -> bool:
         for block in kind
         if block.library is None and _is_stand_in(block) and not block.users
     ]
+    for edited in [block for block in unused if isinstance(block, bpy.types.Mesh) and is_edited(block)]:
+        unused.remove(edited)
+        edited.name, edited.use_fake_user = EDITED_LEVEL, True
+        unseal(edited)
+        del edited[marks.KEY]
     if unused:
         bpy.data.batch_remove(unused)
     return bool(emptied or unused)
@@ -124,7 +132,7 @@ def _new(kind: str, slots: int) -> bpy.types.ID:
 def _is_stand_in(data: bpy.types.ID) -> bool:
     """Whether data bears our mark, and is what we make: anyone can copy a mark."""
     if data.get(marks.KEY) == LEVEL:
-        return isinstance(data, bpy.types.Mesh) and len(data.loops) == 3 * len(data.polygons)
+        return isinstance(data, bpy.types.Mesh) and (is_sealed(data) or len(data.loops) == 3 * len(data.polygons))
     if data.get(marks.KEY) != _STAND_IN:
         return False
     return (

@@ -19,27 +19,13 @@ from ...core.files.level import AnyLevel, Level, Steps
 from ..coarsening import Setting, setting_of
 from . import marks
 from .emptying import LEVEL, exchange
+from .form import VALUES, seal, values_of
 
 if TYPE_CHECKING:
     from ...core.culling.result import CullingResult
     from ..extract import Extraction
 
 NAME = "LiPaC level"
-# of an attribute's values, by its type: name, numbers of each, their type
-_VALUES: dict[str, tuple[str, int, type]] = {
-    "FLOAT": ("value", 1, np.float32),
-    "INT": ("value", 1, np.int32),
-    "BOOLEAN": ("value", 1, np.bool_),
-    "INT8": ("value", 1, np.int32),
-    "FLOAT_VECTOR": ("vector", 3, np.float32),
-    "FLOAT2": ("vector", 2, np.float32),
-    "FLOAT_COLOR": ("color", 4, np.float32),
-    "BYTE_COLOR": ("color", 4, np.float32),
-    "INT16_2D": ("value", 2, np.int32),
-    "INT32_2D": ("value", 2, np.int32),
-    "QUATERNION": ("value", 4, np.float32),
-    "FLOAT4X4": ("value", 16, np.float32),
-}
 # what makes the mesh, or is made anew
 _OWN = {"position", "custom_normal"}
 
@@ -104,16 +90,16 @@ def level_of(mesh: bpy.types.Mesh, level: Level, turns: bool = False) -> bpy.typ
         out.vertices.add(len(vertices))
         out.loops.add(3 * count)
         out.polygons.add(count)
-        _put(out.attributes["position"], _get(mesh.attributes["position"])[vertices])
+        _put(out.attributes["position"], values_of(mesh.attributes["position"])[vertices])
         out.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
         out.loops.foreach_set("vertex_index", index.astype(np.int32))
         out.update(calc_edges=True)
         rows = {"POINT": vertices, "CORNER": corners, "FACE": level.faces}
         for name in [a.name for a in mesh.attributes]:
             source = mesh.attributes[name]
-            if source.domain in rows and source.data_type in _VALUES and name not in _OWN and not name.startswith("."):
+            if source.domain in rows and source.data_type in VALUES and name not in _OWN and not name.startswith("."):
                 target = out.attributes.new(name, source.data_type, source.domain)
-                _put(target, _get(source)[rows[source.domain]])
+                _put(target, values_of(source)[rows[source.domain]])
         _mark_active(mesh, out)
         if mesh.normals_domain != "FACE":
             normals: NDArray[np.float32] = np.empty(3 * len(mesh.loops), np.float32)
@@ -123,6 +109,7 @@ def level_of(mesh: bpy.types.Mesh, level: Level, turns: bool = False) -> bpy.typ
         place, size = tuple(mesh.texspace_location), tuple(mesh.texspace_size)
         out.use_auto_texspace = False
         out.texspace_location, out.texspace_size = place, size
+        seal(out)
     return out
 
 
@@ -134,15 +121,8 @@ def _vertices(mesh: bpy.types.Mesh, level: Level) -> tuple[NDArray[np.int32], ND
     return vertices, index.reshape(-1)
 
 
-def _get(attribute: Any) -> NDArray[Any]:
-    name, width, kind = _VALUES[attribute.data_type]
-    values: NDArray[Any] = np.empty(len(attribute.data) * width, kind)
-    attribute.data.foreach_get(name, values)
-    return values.reshape(-1, width)
-
-
 def _put(attribute: Any, values: NDArray[Any]) -> None:
-    attribute.data.foreach_set(_VALUES[attribute.data_type][0], np.ascontiguousarray(values).reshape(-1))
+    attribute.data.foreach_set(VALUES[attribute.data_type][0], np.ascontiguousarray(values).reshape(-1))
 
 
 def _mark_active(mesh: bpy.types.Mesh, out: bpy.types.Mesh) -> None:

@@ -42,6 +42,7 @@ PART = "part of a collection instance: the same part stays elsewhere"
 READS_IDS = "a material reads the ids of instances, which the mask stores"
 PARTICLE = "single particles cannot be removed"
 SHAPES = "something else is made from its faces"
+IN_RENDER = "the render at hand reads another scene, too: no mesh can be exchanged meanwhile"
 DUPLI = "single vertex and face duplicates cannot be removed"
 
 _BY_KIND = {
@@ -169,6 +170,7 @@ class Obstacles:
         self.references = References(others)
         # these only take an assignment, which would crash such a render
         self.keeps_linked = lasting or (in_render and bool(others))
+        self.keeps_meshes = in_render and bool(others)
 
     def obstacle(self, ob: bpy.types.Object | None) -> str | None:
         """Why hiding an object would not work, or would touch more than it should; None where it can be hidden."""
@@ -336,6 +338,8 @@ class Planner(Obstacles):
                 reason = self.shape_obstacle(ob)
                 if ob is not None and reason is None:
                     reason = self.any_change(ob) if self._takes(ob, level) else LINKED
+                if self.keeps_meshes:
+                    reason = reason or IN_RENDER
                 alone = ob is None or len(ob.modifiers) > 0
                 shared.setdefault(ob if ob is None or alone else ob.data, []).append((ob, level, reason))
         for members in shared.values():

@@ -38,7 +38,7 @@ def test_too_little_is_refused_before_the_render(blend, tmp_path):  # noqa: F811
     done = command("render", blend, "-o", tmp_path, "--device", "cpu", "--memory", "50M", "--quiet", *SMALL)
     assert done.returncode == 2
     line = done.stderr.strip().splitlines()[-1]
-    assert line.startswith("lipac render: --memory 50M: the render takes at least ")
+    assert line.startswith("lipac render: a memory limit of 50 MB is too little: the render takes at least ")
     assert not list(tmp_path.glob("*.png"))
 
 

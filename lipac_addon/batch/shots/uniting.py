@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,13 +29,16 @@ from ...extract.geometry.coarser import alternatives
 from ...keys import Keys
 from ..deciding import Decided, decide_layers
 from ..job import Cancel, Job, check
-from ..session import Decide, Session, sessions_of
+from ..session import Decide, Session, of_one_picture, sessions_of
 from .shot_set import ShotSet
 
 if TYPE_CHECKING:
+    from ....core.arrays import I64
+    from ....core.culling.levels.stand_ins import Alternative
     from ....core.culling.loop import Loop
     from ....core.culling.result import CullingResult
     from ....core.culling.shot import How
+    from ....core.scene.model import Scene
 
 STRIDE = 8  # frames from one that proposes to the next
 # What a frame has to say in a set; analyses of the first two have files of that kind
@@ -80,25 +83,31 @@ def judging(together: ShotSet, earlier: int, held: list[bool], own: bool) -> Dec
     """A decision that judges a set in the frame that was extracted, as `judgement`."""
 
     def judge(session: Session, extraction: Extraction, within: Progress, cancelled: Cancel) -> CullingResult:
-        how = judgement(together, extraction.keys, earlier, held, own)
+        scene = of_one_picture(extraction, session.alone)
+        how = judgement(together, scene, extraction.keys, earlier, held, own)
         return session.decide(extraction, None, within, cancelled, how)
 
     return judge
 
 
-def judgement(together: ShotSet, keys: Keys, earlier: int, held: list[bool], own: bool) -> How:
-    """Judge a set in a frame with these keys, and append to held whether it keeps the budget there. earlier: how many
-    sets the frame has judged before; own: whether the frame itself has had its say in this one."""
+def judgement(together: ShotSet, scene: Scene, keys: Keys, earlier: int, held: list[bool], own: bool) -> How:
+    """Judge a set in a frame with these keys, and append to held whether it keeps the budget there. scene: of the
+    frame, in Blender; earlier: how many sets the frame has judged before; own: whether the frame itself has had its say
+    in this one."""
     from ....core.culling import union
 
     active, met = together.found(keys)
     faces = together.faces_of(keys, active)
+    levels: Sequence[tuple[I64, Alternative]] | None = None
+    with suppress(ValueError):  # other meshes than in the frames that chose them
+        levels = alternatives(scene, keys, active, together.levels) if together.levels else ()
 
     def how(loop: Loop, progress: Progress) -> CullingResult:
-        try:
-            levels = alternatives(loop.scene, keys, active, together.levels) if together.levels else ()
-            found = union.check(loop, active, met, faces, earlier, progress, levels)
-        except ValueError:  # other meshes than in the frames that chose them
+        found = None
+        if levels is not None:
+            with suppress(ValueError):  # the same
+                found = union.check(loop, active, met, faces, earlier, progress, levels)
+        if found is None:
             found = replace(union.check(loop, active, met, {}, earlier, progress), holds=False)
         # a picture without anything is no picture, whatever the paths say, until the frame itself has said so
         held.append(found.holds and (bool(active.any()) or own))

@@ -42,6 +42,15 @@ class EvaluatedCoarser:
         self.steps = steps
         self._sources, self._uv_maps, self._scene, self._layer = list(sources), tuple(uv_maps), scene, layer
 
+    def of(self, scene: bpy.types.Scene) -> EvaluatedCoarser:
+        """The same by another reference to the scene: undo makes new ones of everything."""
+        return EvaluatedCoarser(self.steps, self._sources, self._uv_maps, scene, self._layer)
+
+    def without(self, fixed: NDArray[np.bool_]) -> EvaluatedCoarser:
+        """The same with meshes, (M,) bool, that stay as they are."""
+        steps = np.where(fixed, 0, self.steps)
+        return EvaluatedCoarser(steps, self._sources, self._uv_maps, self._scene, self._layer)
+
     def read(self, meshes: Sequence[int]) -> Mapping[int, Sequence[Mesh]]:
         """As `CoarserMeshes`."""
         out: dict[int, list[Mesh]] = {number: [] for number in meshes}

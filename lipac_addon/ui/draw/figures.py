@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ....core.files.figures import size as decimal
 from ... import roles
 from ...writeback.marks import COARSER, EMPTIED, HIDDEN, MASKED, PARTICLES, SIMPLIFIED
 from ..state import results
@@ -54,6 +55,7 @@ def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
             if "parts" in stats
             else []
         ),
+        *_levels(stats),
         ("Stand-in boxes", f"{int(stats['hitboxes']):,}"),
         ("BVH memory", size(stats["blas_bytes"] + stats["tlas_bytes"])),
     ]
@@ -64,7 +66,16 @@ def rows_of(result: results.FrameResult) -> list[tuple[str, str]]:
     ):
         if name + "_mean" in stats and not (name == "predicted" and "certified_mean" in stats):
             rows.append((label, change(stats[f"{name}_mean"], stats[f"{name}_worst"])))
+    if result.taken is not None:
+        rows.append(("Render, predicted", f"{decimal(result.taken.culled)} of {decimal(result.taken.full)}"))
     return rows
+
+
+def _levels(stats: dict[str, float | int]) -> list[tuple[str, str]]:
+    """How many meshes are coarser, where any are."""
+    if not stats.get("levels"):
+        return []
+    return [("Levels of detail", f"{int(stats['levels']):,} meshes, {int(stats['levels_triangles']):,} triangles less")]
 
 
 def rows_of_difference(found: results.Difference) -> list[tuple[str, str]]:

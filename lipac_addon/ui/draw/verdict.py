@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ....core.files.figures import percent
+from ....core.files.figures import percent, size
 from ..state import applying, results
 
 MOST = 3  # warnings that are shown at once; Results has all
@@ -25,12 +25,29 @@ def verdict(scene: bpy.types.Scene) -> list[str]:
         said.append(f"Changes the picture by at most {mean}, any tile by {worst} (95 % confidence)")
     else:
         said.append("How much the picture changes is not certified")
+    said += _memory(result, scene)
     measured = results.differences.get((scene.session_uid, result.frame))
     if measured is not None:
         full_s, culled_s = measured.seconds
         said.append(f"Renders in {culled_s:.1f} s instead of {full_s:.1f} s")
     elif result.futile:
         said.append(result.futile)
+    return said
+
+
+def _memory(result: results.FrameResult, scene: bpy.types.Scene) -> list[str]:
+    """What a render takes, where that was limited."""
+    taken, limit, settings = result.taken, result.stats.get("memory_limit_bytes"), scene.lipac
+    if taken is None or not limit:
+        return []
+    fits = taken.most <= limit
+    said = [
+        f"Renders take {size(taken.culled)} instead of {size(taken.full)}, and {size(taken.most)} at most: "
+        f"{'within' if fits else 'MORE than'} the limit of {size(limit)}"
+    ]
+    budget = settings.max_error / 100, settings.worst_error / 100
+    if result.stats["certified_mean"] > budget[0] or result.stats["certified_worst"] > budget[1]:
+        said.append("That is more than the error budget: with less the limit would not hold")
     return said
 
 

@@ -11,21 +11,19 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ....core.culling.policies import LIGHT_PATHS
 from ....core.errors import InputError
-from ....core.files.memory_table import merged
+from ....core.files.usage import give_back
 from ... import roles
 from ...depsgraph import rendered_layers
 from ...keys import any_of
-from ..state import applying, props, results, scatters, session, topology
+from ..state import applying, asking, props, results, scatters, session, topology
 from . import engine
-from .background import AskedMeshes, in_thread
+from .background import for_thread, in_thread
 from .certifying import certify
 from .job import Job
 
 if TYPE_CHECKING:
     from ....core.arrays import Records
-    from ....core.culling.options import CullOptions
     from ....core.culling.shot import Shot
     from ...extract import Extraction, Extractor
     from ...extract.graph import GraphReader
@@ -33,6 +31,7 @@ if TYPE_CHECKING:
     from .certifying import Asked
 
 
+ATTEMPTS = 2  # at a frame whose memory is limited: Blender itself may have grown by the first one
 LOST = "Nothing is hidden from renders any more"
 
 
@@ -53,7 +52,7 @@ class AnalysisJob(Job):
     results: by frame, in the end; was_applied: something was hidden before, by this scene's result or whatever, so that
     all had to be shown: what the scene had applied is applied anew, but where nothing is known of its frame, and what
     others had is not: lost.
-    baked: instances that some frame needs, and of all.
+    baked: instances that some frame needs, and of all; objects at coarser levels of detail.
     """
 
     CANCELLED = "the analysis was cancelled"
@@ -67,8 +66,9 @@ class AnalysisJob(Job):
             raise InputError(obstacle(scene))
         self.results: dict[int, results.FrameResult] = {}
         self.was_applied = self.lost = False
-        self.baked: tuple[int, int] | None = None
+        self.baked: tuple[int, int, int] | None = None
         self._bake, self._applied = bake, False
+        self._independent = bake or props.own_levels(scene.lipac) or props.memory_limit(scene.lipac) > 0
         self._before: applying.Applied | None = None
         self._set_frame = scene.frame_current
         # these two go from frame to frame: what did not change is not analysed again
@@ -80,15 +80,15 @@ class AnalysisJob(Job):
     def _work(self) -> Generator[None, None, None]:
         self.message = engine.LOADING
         yield
-        yield from engine.load(self.cancel)
+        yield from engine.load(self.cancel, kernels=props.memory_limit(self._scene().lipac) > 0)
         yield from self._no_render()
         self._check()
         scene = self._scene()
-        frame, self._applied, self._before = (
-            (scene.frame_current, scene.frame_subframe),
-            scene.lipac.applied,
-            applying.what_is_applied(),
-        )
+        # by parts, where no frame begins with the last one's, for which meshes would have to be whole again
+        self._options = props.cull_options(scene.lipac, parts=self._independent or len(self._frames) == 1)
+        asking.check(scene, self._options, self._bake)
+        frame = scene.frame_current, scene.frame_subframe
+        self._applied, self._before = scene.lipac.applied, applying.what_is_applied()
         self.was_applied = applying.restore()
         try:
             self.results = yield from self._analyse_all()
@@ -107,7 +107,8 @@ class AnalysisJob(Job):
 
         frame: with its subframe.
         """
-        self._extractor = self._shot = None  # their memory
+        self._extractor = self._shot = None
+        give_back()  # their memory
         scene = session.find_scene(self._uid)
         if scene is None:
             return
@@ -118,8 +119,8 @@ class AnalysisJob(Job):
         result = results.of(scene).get(frame[0])
         if self._bake and self.results:
             shot = results.union(self.results.values())
-            applying.apply(scene, shot, frames=self._range)
-            self.baked = int((~shot.culled).sum()), len(shot.culled)
+            done = applying.apply(scene, shot, frames=self._range)
+            self.baked = int((~shot.culled).sum()), len(shot.culled), done.simplified
         elif self._before is not None and not self.results:
             applying.apply_again(self._before)
         elif self._applied and result is not None:
@@ -137,20 +138,10 @@ class AnalysisJob(Job):
             for k, number in enumerate(self._frames):
                 found[number] = yield from self._analyse(number, k)
             if self._bake and len(found) > 1:
-                yield from certify(found, self._frames, self._options(), self._begin, self._analyse)
+                yield from certify(found, self._frames, self._options, self._analyse)
         except MemoryError as error:
             raise InputError("the analysis ran out of memory: raise the error budget, or simplify the scene") from error
         return found
-
-    def _begin(self) -> None:
-        """Have the frames that follow be analysed each by itself."""
-        from ....core.culling.shot import Shot
-
-        self._shot = Shot(self._options(), independent=True)
-
-    def _options(self) -> CullOptions:
-        """By parts, where no frame begins with the last one's, for which meshes would have to be whole again."""
-        return props.cull_options(self._scene().lipac, parts=self._bake or len(self._frames) == 1)
 
     def _analyse(
         self, number: int, k: int, how: Asked | None = None, doing: str = ""
@@ -160,7 +151,6 @@ class AnalysisJob(Job):
         from ....core.culling.analysis import decide
         from ....core.culling.shot import Shot
         from ...extract.shutter import of_more_steps
-        from ...memory.rows import Weighed
 
         n = len(self._frames)
         name = f"frame {number}: " if n > 1 else ""
@@ -172,8 +162,8 @@ class AnalysisJob(Job):
             self._check()
             yield
         scene, self._set_frame = self._scene(), number
-        extraction = self._extract(scene, number)
-        shot = self._shot = self._shot or Shot(self._options(), independent=self._bake)
+        extraction, options = self._extract(scene, number), self._options
+        shot = self._shot = self._shot or Shot(options, independent=self._independent)
         needed = yield from self._exposed(shot, extraction, number, how)
         if needed:
             extraction = self._extract(scene, number)
@@ -186,25 +176,34 @@ class AnalysisJob(Job):
             uid for name, uid in zip(extraction.keys.names, uids.tolist(), strict=True) if name in extraction.scatters
         ]
         prints = scatters.prints_of(scene, hosts)
-        meshes = AskedMeshes(extraction.scene.meshes)
+        at, step = scene.frame_float, decide if how is None else how(extraction, uids)
+        forms = asking.forms_of(extraction, uids, options)
 
         def report(fraction: float, what: str) -> None:
             self.progress, self.message = (k + fraction) / n, name + (doing or what)
 
-        asked, step = replace(extraction.scene, meshes=meshes), decide if how is None else how(extraction, uids)
-        advance = partial(shot.advance, asked, extraction.change, report, lambda: self.cancelled, pinned, step)
-        result = yield from in_thread(advance, self.cancel, meshes)
-        self._check()
-        memory = tuple(merged(Weighed.of(extraction, result, number, scene).rows()))
-        found = results.FrameResult.of(number, extraction, uids, result, pinned)
+        for _ in range(ATTEMPTS):
+            looked_at, stays = asking.asked(extraction, uids, options, self._scene(), pinned)
+            seen, meshes = for_thread(looked_at, self._uid, at)
+            advance = partial(shot.advance, seen, extraction.change, report, lambda: self.cancelled, stays, step)
+            result = yield from in_thread(advance, self.cancel, meshes)
+            self._check()
+            if options.memory:  # what was built is gone when Blender renders
+                shot.forget()
+                result = replace(result, built=None)
+            found = results.FrameResult.of(number, extraction, uids, result, pinned)
+            found = asking.weighed(found, extraction, result, options, self._scene())
+            if not asking.exceeds(found, options):
+                break
         shapes = topology.digests_of(found.faces)
-        return replace(found, prints=prints, shapes=shapes, memory=memory, futile=self.note)
+        return replace(found, prints=prints, shapes=shapes, forms=forms, futile=self.note)
 
     def _exposed(
         self, shot: Shot, extraction: Extraction, number: int, how: Asked | None
     ) -> Generator[None, None, list[Records]]:
         """Keys of what the frame needs at other moments of its exposure, a part for each. how: as of `_analyse`."""
         from ....core.culling.analysis import decide
+        from ...batch.session import of_one_picture
         from ...extract.shutter import Passing
 
         needed, passing = [], Passing()
@@ -213,10 +212,10 @@ class AnalysisJob(Job):
             assert self._extractor is not None
             other = self._extractor.frame(number, keep=False, at=moment)
             passing.add(moment, other.keys, other.scene)
-            meshes = AskedMeshes(other.scene.meshes)
-            asked, change = replace(other.scene, meshes=meshes), other.change
+            other = replace(other, scene=of_one_picture(other, False))
+            (seen, meshes), change = for_thread(other.scene, self._uid, 0.0), other.change
             step = decide if how is None else how(other, results.session_uids(other.keys))
-            advance = partial(shot.advance, asked, change, cancelled=lambda: self.cancelled, how=step)
+            advance = partial(shot.advance, seen, change, cancelled=lambda: self.cancelled, how=step)
             result = yield from in_thread(advance, self.cancel, meshes)
             self._check()
             needed.append(other.keys.records[result.active])
@@ -224,35 +223,24 @@ class AnalysisJob(Job):
 
     def _extract(self, scene: bpy.types.Scene, number: int) -> Extraction:
         """What a render sees of the frame."""
+        from ...batch.session import of_one_picture
         from ...extract import Extractor
 
         self._extractor = self._extractor or Extractor(scene)
         self._extractor.follow(scene)
         self.note = ""
         layers = rendered_layers(scene)
-        look = partial(self._weigh, time.perf_counter()) if len(layers) == 1 and _is_known(scene) else None
+        known = len(layers) == 1 and asking.may_be_futile(scene, self._options)
+        look = partial(self._weigh, time.perf_counter()) if known else None
         extraction = self._extractor.frame(number, keep=False, look=look)
+        extraction = replace(extraction, scene=of_one_picture(extraction, len(layers) == 1))
         if len(layers) > 1:
             line = f"only view layer '{layers[0]}' was analysed: what others alone show may be culled"
             extraction = replace(extraction, warnings=(*extraction.warnings, line))
         return extraction
 
     def _weigh(self, start: float, reader: GraphReader, nodes: Sequence[Node]) -> None:
-        """Note where culling can save less than the analysis takes, as commands say it before they render without one:
-        here it was asked for. start: `time.perf_counter()` when the frame was begun."""
-        from ...memory.stakes import stakes_of, why
-
-        scene, spent = self._scene(), time.perf_counter() - start
-        options = self._options()
-        stakes = stakes_of(reader, nodes, scene, options, scene.cycles.samples, len(self._frames), spent)
-        if stakes is not None and stakes.nothing_to_win:
-            self.note = f"Nothing can be won: {why(stakes)}"
-
-
-def _is_known(scene: bpy.types.Scene) -> bool:
-    """Whether a scene is analysed, and rendered, by what costs are known of: light paths, and Cycles on the CPU."""
-    from ...batch.engines.choices import AS_SET, CPU
-    from ...batch.engines.devices import find_device
-
-    by_cycles = scene.lipac.policy == LIGHT_PATHS and scene.render.engine == "CYCLES"
-    return by_cycles and find_device(scene, AS_SET).kind == CPU
+        """Note where culling can save less than the analysis takes: here it was asked for. start:
+        `time.perf_counter()` when the frame was begun."""
+        spent = time.perf_counter() - start
+        self.note = asking.futile(reader, nodes, self._scene(), self._options, len(self._frames), spent)

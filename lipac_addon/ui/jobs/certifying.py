@@ -34,14 +34,12 @@ def certify(
     found: dict[int, results.FrameResult],
     frames: Sequence[int],
     options: CullOptions,
-    begin: Callable[[], None],
     analyse: Analyse,
 ) -> Generator[None, None, None]:
     """Judge what any of the frames keeps in each of them, and add to what was found. Where it does not hold, a frame is
     analysed again by half of the budget, then all that it shows stays; in the end its warnings say so.
 
-    begin: has the frames that follow be analysed each by itself. Does nothing where there is no error budget, or
-    something else limits what is built.
+    Does nothing where there is no error budget, or something else limits what is built.
     """
     from ....core.culling.union import decide_closer
     from ...batch.shots.uniting import by_budget_alone
@@ -49,19 +47,17 @@ def certify(
     if not by_budget_alone(options):
         return
     for turn in range(JUDGEMENTS):
-        begin()
         failing = yield from _judged(found, frames, turn, analyse)
         if not failing:
             return
         if turn == JUDGEMENTS - 1:
             break
-        begin()
         for k, number in enumerate(failing):
             if not turn:
                 found[number] = yield from analyse(number, k, lambda *_: decide_closer)
             else:
                 all_stays = np.full_like(found[number].state, results.ACTIVE)
-                found[number] = replace(found[number], state=all_stays, faces={})
+                found[number] = replace(found[number], state=all_stays, faces={}, levels={})
     few = ", ".join(map(str, failing[:5])) + (f" and {len(failing) - 5} more" if len(failing) > 5 else "")
     line = f"What is baked is not certified in frames {few}: Render Difference tells what is missing there"
     found |= {number: replace(found[number], warnings=(line, *found[number].warnings)) for number in failing}
@@ -79,7 +75,7 @@ def _judged(
 
         def judging(extraction: Extraction, uids: I64, number: int = number) -> How:
             keys = results.tagged(extraction.keys, uids)
-            return judgement(together, keys, turn, held.setdefault(number, []), own=True)
+            return judgement(together, extraction.scene, keys, turn, held.setdefault(number, []), own=True)
 
         judged = yield from analyse(number, k, judging, "judging the shot's set")
         figures = {name: judged.stats[name] for name in FIGURES}

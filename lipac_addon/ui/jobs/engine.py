@@ -26,13 +26,20 @@ def obstacle() -> str:
     return f"missing: {', '.join(missing())}; {REINSTALL}" if missing() else ""
 
 
-def load(cancel: Callable[[], None]) -> Generator[None, None, None]:
-    """Load the engine in a thread; cancel as of `in_thread`. Raises InputError where a library cannot be loaded."""
+def load(cancel: Callable[[], None], kernels: bool = False) -> Generator[None, None, None]:
+    """Load the engine in a thread; cancel as of `in_thread`. kernels: at once, so that what Blender takes with them can
+    be told. Raises InputError where a library cannot be loaded."""
     try:
-        yield from in_thread(_import, cancel)
+        yield from in_thread(_import_all if kernels else _import, cancel)
     except (ImportError, OSError) as error:
         raise InputError(f"LiPaC's libraries cannot be loaded ({error}): {REINSTALL}") from error
 
 
 def _import() -> None:
     from ....core.culling import shot  # noqa: F401
+
+
+def _import_all() -> None:
+    from ....core import warmup
+
+    warmup.load()

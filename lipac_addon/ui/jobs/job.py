@@ -90,7 +90,7 @@ class Job:
         """The scene. Raises InputError where it is gone."""
         scene = session.find_scene(self._uid)
         if scene is None:
-            raise InputError("the scene was removed meanwhile")
+            raise InputError(session.GONE)
         return scene
 
     def _no_render(self) -> Iterator[None]:

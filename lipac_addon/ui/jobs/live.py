@@ -257,7 +257,7 @@ def _still() -> Change:
 def live_options(settings: props.LipacSettings) -> CullOptions:
     """The options of the scene's settings for a loop in real time: few paths and one round at a time, whose requests
     the next one meets."""
-    options = props.cull_options(settings)
+    options = replace(props.cull_options(settings), levels=False, memory=0)
     if options.policy != LIGHT_PATHS:
         return options
     return replace(options, min_share=SHARE, paths=1, max_iterations=1, blas_budget_ms=BUILD_MS)

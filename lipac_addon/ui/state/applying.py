@@ -4,20 +4,28 @@ so."""
 from __future__ import annotations
 
 import secrets
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 import bpy
 import numpy as np
 
 from ... import roles, writeback
 from ...keys import Kind
+from ...writeback.emptying import EDITED_LEVEL
 from ...writeback.marks import COARSER, EMPTIED, HIDDEN, MASKED, PARTICLES, SIMPLIFIED, all_marks, culled_libraries
 from ...writeback.references import scenes_in_picture
 from . import results, scatters, session, topology
 from .results import FrameResult
 
+if TYPE_CHECKING:
+    from ....core.files.level import AnyLevel
+
+T = TypeVar("T")
 CHANGED = "their scatter has changed since the analysis: analyze again"
 RESHAPED = "their mesh has changed since the analysis: analyze again"
+REFORMED = "they, or their modifiers, have changed since the analysis: analyze again"
 MULTI_VIEW = "Stereoscopy renders from several cameras, of which only one is analyzed: switch it off"
 _COUNTED = (  # words of marks, and what to say of so many
     (HIDDEN, "objects"),
@@ -51,8 +59,8 @@ _marked: tuple[int, dict[int, list[str]]] | None = None
 def apply(
     scene: bpy.types.Scene, result: FrameResult, in_render: bool = False, frames: range | None = None
 ) -> writeback.WritebackResult:
-    """Hide what a result culls from renders; pinned and ignored objects stay as they are, and so do scatters that have
-    changed since they were analysed.
+    """Hide what a result culls from renders, and have what stays at its levels of detail; pinned and ignored objects
+    stay as they are, and so do scatters and meshes that have changed since they were analysed.
 
     in_render: until the running render ends. frames: that it holds for, None: its own. Write-back speaks of the whole
     file, so this takes the place of what another scene's result had hidden.
@@ -68,16 +76,27 @@ def apply(
         else {name: result.scatters[uid] for name, uid in _names(result, keys.names) if uid in result.scatters}
     )
     faces, reshaped = _faces(result, keys.names)
+    levels, reformed = _levels(result, keys.names)
     applied = writeback.apply(
-        culled & ~changed, keys, rows, scene=scene, lasting=not in_render, in_render=in_render, faces=faces
+        culled & ~changed,
+        keys,
+        rows,
+        scene=scene,
+        lasting=not in_render,
+        in_render=in_render,
+        faces=faces,
+        levels=levels,
     )
     if changed.any():
         applied.kept[CHANGED] = int(changed.sum())
     if reshaped:
         applied.whole[RESHAPED] = reshaped
+    shown = 0 if in_render else sum(SIMPLIFIED in words for words in marks().values())
     notes = (
         *(f"{count:,} culled instances stay in renders: {why}" for why, count in applied.kept.items()),
         *(f"{count:,} objects keep all faces in renders: {why}" for why, count in applied.whole.items()),
+        *([f"{reformed:,} objects keep their own level of detail in renders: {REFORMED}"] if reformed else []),
+        *([f"{shown:,} objects show a simplified mesh until Restore: edit them after that"] if shown else []),
     )
     settings = scene.lipac
     settings.in_render, settings.applied = in_render, not in_render
@@ -190,6 +209,16 @@ def recount() -> None:
     _marked = None
 
 
+def edits_level() -> bool:
+    """Whether the user edits, sculpts or paints a simplified mesh, which cannot be exchanged meanwhile."""
+    return any(SIMPLIFIED in marks().get(ob.session_uid, ()) for ob in session.not_in_object_mode())
+
+
+def edited_levels() -> set[str]:
+    """Names of simplified meshes that Restore has kept, for the user had edited them."""
+    return {mesh.name for mesh in bpy.data.meshes if mesh.name.startswith(EDITED_LEVEL)}
+
+
 def comes_back() -> str:
     """A sentence on what is shown again only as long as the file is open; "" where nothing is."""
     names = ", ".join(_culled_libraries)
@@ -240,14 +269,28 @@ def _names(result: FrameResult, names: tuple[str, ...]) -> list[tuple[str, int]]
     return [(name, uid) for name, uid in zip(names, result.uids.tolist(), strict=True) if name]
 
 
+def _levels(result: FrameResult, names: tuple[str, ...]) -> tuple[dict[str, AnyLevel], int]:
+    """By the name of an object, what takes the place of its mesh; and how many objects keep theirs, for they were
+    edited."""
+    wanted = _wanted(result.levels)
+    now = topology.forms_of(wanted)
+    same = {uid for uid, digest in now.items() if digest == result.forms.get(uid)}
+    return {name: wanted[uid] for name, uid in _names(result, names) if uid in same}, len(now) - len(same)
+
+
 def _faces(result: FrameResult, names: tuple[str, ...]) -> tuple[dict[str, np.ndarray], int]:
     """By the name of an object, (F,) bool, faces of it that stay; and of how many objects nothing is known any more,
     for they were edited."""
-    marked = {ob.session_uid for ob in roles.marked(roles.PIN, roles.IGNORE)}
-    wanted = {uid: mask for uid, mask in result.faces.items() if uid not in marked}
+    wanted = _wanted(result.faces)
     now = topology.digests_of(wanted)
     same = {uid for uid, digest in now.items() if digest == result.shapes.get(uid)}
     return {name: wanted[uid] for name, uid in _names(result, names) if uid in same}, len(now) - len(same)
+
+
+def _wanted(of: Mapping[int, T]) -> dict[int, T]:
+    """What there is by the uids of objects, less those that renders show as the user has them."""
+    marked = {ob.session_uid for ob in roles.marked(roles.PIN, roles.IGNORE)} if of else set()
+    return {uid: value for uid, value in of.items() if uid not in marked}
 
 
 def _of_changed(scene: bpy.types.Scene, result: FrameResult) -> np.ndarray:

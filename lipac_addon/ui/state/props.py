@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
-from ....core.culling.policies import NOTHING, POLICIES
+from ....core.culling.policies import LIGHT_PATHS, NOTHING, POLICIES
 from ... import roles
 from . import preferences, results, session
 
@@ -66,6 +66,29 @@ class LipacSettings(bpy.types.PropertyGroup):
         "Largest change that you allow in any one tile (a 16th of the picture's width)",
         preferences.DEFAULTS.worst_error,
         get_transform=_preferred("worst_error"),
+    )
+    levels: BoolProperty(  # type: ignore[valid-type]
+        name="Levels of Detail",
+        description=(
+            "Render what stays with simplified meshes, fewer levels of subdivision and coarser curves, where the error "
+            "budget has room for it. The analysis takes up to twice as long"
+        ),
+    )
+    limit_memory: BoolProperty(  # type: ignore[valid-type]
+        name="Limit Memory",
+        description=(
+            "Have Blender take no more memory than this while it renders by Cycles on the processor. Where culling by "
+            "the error budget does not save enough, go on with what changes the picture least"
+        ),
+    )
+    memory_limit: FloatProperty(  # type: ignore[valid-type]
+        name="Memory Limit",
+        description="GB that Blender may take while it renders, all that it takes before included",
+        default=8.0,
+        min=0.1,
+        soft_max=256.0,
+        precision=2,
+        step=10,
     )
     frames: EnumProperty(  # type: ignore[valid-type]
         name="Frames",
@@ -209,6 +232,17 @@ def own_setting(settings: LipacSettings) -> float | None:
     return None if own is None else float(getattr(settings, own.name))
 
 
+def own_levels(settings: LipacSettings) -> bool:
+    """Whether what stays may be exchanged for simplified meshes."""
+    return bool(settings.levels and settings.policy == LIGHT_PATHS)
+
+
+def memory_limit(settings: LipacSettings) -> int:
+    """Bytes that Blender may take while it renders; 0: no limit."""
+    limited = settings.limit_memory and settings.policy == LIGHT_PATHS
+    return round(settings.memory_limit * 1e3) * 1_000_000 if limited else 0
+
+
 def cull_options(settings: LipacSettings, parts: bool = False) -> CullOptions:
     """The options of the analysis that the settings ask for; loads the engine. parts: large meshes are culled by
     parts."""
@@ -225,6 +259,8 @@ def cull_options(settings: LipacSettings, parts: bool = False) -> CullOptions:
         threads=preferences.get().threads,
         blas_budget_bytes=int(preferences.get().memory * preferences.GIB),
         parts=parts,
+        levels=own_levels(settings),
+        memory=memory_limit(settings),
     )
 
 

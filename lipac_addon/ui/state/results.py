@@ -11,12 +11,14 @@ import numpy as np
 
 from ... import roles
 from ...keys import Keys, full_name
+from ...writeback.levels import levels_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ....core.arrays import F32, F64, I64, U8
     from ....core.culling.result import CullingResult
+    from ....core.files.level import AnyLevel
     from ....core.files.memory_table import MemoryRow
     from ...batch.shots.shot_set import ShotSet
     from ...extract import Extraction
@@ -39,6 +41,15 @@ class Reason:
     worth: float
 
 
+@dataclass(frozen=True)
+class Taken:
+    """Bytes that Blender is predicted to take while it renders a frame: in full, culled, and culled at most."""
+
+    full: int
+    culled: int
+    most: int
+
+
 @dataclass(frozen=True, eq=False)
 class FrameResult:
     """The analysis of a frame.
@@ -49,7 +60,9 @@ class FrameResult:
     boxes, `origin` (3,) float64 to be added. stats: figures as in report.json. warnings: lines for the user. Of objects
     that instance by geometry nodes, by their uids: scatters, (R, 3) float32, where their rows are, in their own space;
     prints: digests of what the viewport showed of them. By the uids of objects that stay in part: faces, (F,) bool,
-    those that do; shapes: digests as of `topology`. memory: who takes the memory of a render, as of memory.csv.
+    those that do; shapes: digests as of `topology`. By the uids of objects: levels, what takes the place of their mesh,
+    or of levels of its subdivision; forms: digests as of `topology`. memory: who takes the memory of a render, as of
+    memory.csv; taken: bytes of it.
     tiles: (TILES,) float32, by how much each tile of the picture changes at most, where that is certified. futile: why
     culling can save less of a render than the analysis took, "" where it may save more, or that is not known.
     """
@@ -69,7 +82,10 @@ class FrameResult:
     prints: dict[int, bytes] = field(default_factory=dict)
     faces: dict[int, NDArray[np.bool_]] = field(default_factory=dict)
     shapes: dict[int, bytes] = field(default_factory=dict)
+    levels: dict[int, AnyLevel] = field(default_factory=dict)
+    forms: dict[int, bytes] = field(default_factory=dict)
     memory: tuple[MemoryRow, ...] = ()
+    taken: Taken | None = None
     tiles: F32 | None = None
     futile: str = ""
     _reasons: dict[str, Reason] = field(default_factory=dict)
@@ -92,9 +108,24 @@ class FrameResult:
         }
         shown = {row: int(uids[keys.records["object"][row]]) for row in getattr(result, "faces", {})}
         faces = {uid: result.faces[row] for row, uid in shown.items() if uid >= 0}
+        named = levels_of(extraction, result) if getattr(result, "stand_ins", None) else {}
+        levels = {uid_of[name]: level for name, level in named.items() if uid_of.get(name, -1) >= 0}
         return FrameResult(
-            frame, keys, uids, state, result.score, result.hits, bounds, result.boxes, scene.origin, stats, lines,
-            scatters, faces=faces, tiles=getattr(result, "tiles", None)
+            frame,
+            keys,
+            uids,
+            state,
+            result.score,
+            result.hits,
+            bounds,
+            result.boxes,
+            scene.origin,
+            stats,
+            lines,
+            scatters,
+            faces=faces,
+            levels=levels,
+            tiles=getattr(result, "tiles", None),
         )
 
     @property
@@ -188,10 +219,27 @@ def union(frames: Collection[FrameResult]) -> FrameResult:
     last = next(reversed(list(frames)))
     keys = Keys(shot.keys.records, tuple(name_of[tag] for tag in shot.keys.names))
     faces = {int(tag.split()[0]): mask for tag, mask in shot.faces.items()}
-    shapes = {uid: digest for frame in frames for uid, digest in frame.shapes.items()}
+    levels = {int(tag.split()[0]): level for tag, level in shot.levels.items()}
+    shapes, forms = (
+        {uid: digest for frame in frames for uid, digest in getattr(frame, name).items()}
+        for name in ("shapes", "forms")
+    )
     return FrameResult(
-        last.frame, keys, uids, state, nothing, np.zeros((0, len(RAYS)), np.int64), boxes, boxes, last.origin, {}, (),
-        faces=faces, shapes=shapes
+        last.frame,
+        keys,
+        uids,
+        state,
+        nothing,
+        np.zeros((0, len(RAYS)), np.int64),
+        boxes,
+        boxes,
+        last.origin,
+        {},
+        (),
+        faces=faces,
+        shapes=shapes,
+        levels=levels,
+        forms=forms,
     )
 
 
@@ -204,7 +252,8 @@ def shot_set(frames: Iterable[FrameResult]) -> ShotSet:
     for frame in frames:
         columns = {name: frame.keys.records[name] for name in ("kind", "host", "object", "path")}
         faces = {str(uid): mask for uid, mask in frame.faces.items()}
-        shot.add(States(frame.state, frame.score, frame.hits, columns, _tags(frame), faces=faces))
+        levels = {str(uid): level for uid, level in frame.levels.items()}
+        shot.add(States(frame.state, frame.score, frame.hits, columns, _tags(frame), faces=faces, levels=levels))
     return shot
 
 

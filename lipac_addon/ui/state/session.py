@@ -6,6 +6,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+GONE = "the scene was removed meanwhile"
+
 
 def find_scene(uid: int) -> bpy.types.Scene | None:
     """A scene by its session uid: undo makes new ones of everything, so references are not kept."""

@@ -96,8 +96,8 @@ def measured(scene: Path, folder: Path, target: str, known: dict[str, Row]) -> R
     command = [sys.executable, "-m", "lipac.scripts.lipac", "render", str(scene), "-o", str(folder), *how, *OPTIONS]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode == 2:
-        found = re.search(r"takes at least (\d+)M", done.stderr)
-        return {"limit": limit, "refused": True, "needed": int(found[1]) * 1_000_000 if found else 0}
+        found = re.search(r"takes at least ([\d,]+) MB", done.stderr)
+        return {"limit": limit, "refused": True, "needed": int(found[1].replace(",", "")) * 1_000_000 if found else 0}
     if done.returncode:
         raise SystemExit(done.stderr)
     report = json.loads((folder / "report.json").read_text())

@@ -74,14 +74,14 @@ def test_no_more_goes_than_it_takes(by_limit):
 
 def test_too_little_is_refused_with_what_is_needed():
     scene = priced(terrain())
-    with pytest.raises(InputError, match=r"--memory 60M: the render takes at least 62M: 62M for Blender") as error:
+    with pytest.raises(InputError, match=r"60 MB is too little: .* at least 63 MB: 63 MB for Blender") as error:
         analyze(scene, options(60 * MEGABYTE))
-    assert "0M for what cannot be culled" in str(error.value)
+    assert "0 MB for what cannot be culled" in str(error.value)
 
 
 def test_what_is_pinned_is_needed():
     scene = priced(terrain())
-    with pytest.raises(InputError, match=r"takes at least \d+M: 62M for Blender.*, [3-9]\dM for what cannot be culled"):
+    with pytest.raises(InputError, match=r"at least \d+ MB: 62 MB for Blender.*, [3-9]\d MB for what cannot be"):
         analyze(scene, options(70 * MEGABYTE, parts=False), pinned=np.array([True, False]))
 
 

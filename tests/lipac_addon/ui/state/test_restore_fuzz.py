@@ -5,18 +5,23 @@ Each sequence is worked through twice on the same scene: once with everything, e
 notes what it did; then the notes alone. Every property, modifier, data-block, keyframe and node link must be the same.
 One thing nobody can tell is left out: that a user hides again what was hidden already. Live culling of the viewport is
 switched on and off in between, and lives through edits, undo and files; in every other block its changes are made in
-the smallest parts.
+the smallest parts. Whatever has faces, levels of subdivision or a resolution is at a coarser level of detail where an
+analysis is applied.
 """
 
 import tempfile
 import time
+from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
 
+from lipac.core.files.level import Level, Steps
 from lipac.lipac_addon import roles
+from lipac.lipac_addon.coarsening import setting_of
 from lipac.lipac_addon.ui.jobs import live, viewport_culling
+from lipac.lipac_addon.ui.state import asking, results, topology
 from lipac.lipac_addon.writeback import viewport
 from lipac.tests.lipac_addon.ui.jobs.test_viewport_culling import look, no_waiting
 from lipac.tests.lipac_addon.writeback.conftest import collection, custom, empty, link, plain, points, scatter, triangle
@@ -27,8 +32,8 @@ RENDERS = 0.03  # of our steps
 
 
 def build() -> None:
-    """Near and far objects, collections, a scatter, an instanced collection, particles, keyframes; what is far is
-    culled by distance."""
+    """Near and far objects, collections, a scatter, an instanced collection, particles, keyframes, a mesh of more
+    faces, one that is subdivided, a curve; what is far is culled by distance."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
@@ -57,9 +62,43 @@ def build() -> None:
         bpy.data.objects["near1"],
     )
     bpy.data.objects["far1"].keyframe_insert("location", frame=1)
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=4, y_subdivisions=4, location=(1, 2, 0))
+    bpy.context.object.name = "grid"
+    bpy.ops.mesh.primitive_cube_add(location=(2, 2, 0))
+    bpy.context.object.name = "cube"
+    bpy.context.object.modifiers.new("smooth", "SUBSURF").render_levels = 4
+    bpy.ops.curve.primitive_bezier_circle_add(location=(3, 2, 0))
+    bpy.context.object.name, bpy.context.object.data.bevel_depth = "curve", 0.1
     scene.frame_end = 2
     scene.lipac.policy, scene.lipac.distance = "distance", 100.0
     bpy.context.view_layer.update()
+
+
+def levels() -> dict[int, Level | Steps]:
+    """A coarser level of detail for whatever has one, by session uid; the same for all that have the same mesh."""
+    found: dict[int, Level | Steps] = {}
+    halves: dict[bpy.types.ID, Level] = {}
+    for item in bpy.data.objects:
+        if item.data is None or not item.users_collection:
+            continue
+        if not isinstance(setting_of(item, bpy.context.scene), str):
+            found[item.session_uid] = Steps(1)
+        elif item.type == "MESH" and len(item.data.polygons) > 1:
+            if item.data not in halves:
+                item.data.calc_loop_triangles()
+                half = list(item.data.loop_triangles)[::2]
+                corners = np.array([list(t.loops) for t in half], np.int32)
+                halves[item.data] = Level(corners, np.array([t.polygon_index for t in half], np.int32))
+            found[item.session_uid] = halves[item.data]
+    return found
+
+
+@pytest.fixture
+def coarser(monkeypatch):
+    """Has every analysis find levels of detail."""
+    of = results.FrameResult.of
+    monkeypatch.setattr(results.FrameResult, "of", staticmethod(lambda *given: replace(of(*given), levels=levels())))
+    monkeypatch.setattr(asking, "forms_of", lambda *_: topology.forms_of(levels()))
 
 
 # A user's edits: each does one at random, and returns a function that does the same to a file by names alone
@@ -165,6 +204,34 @@ def set_modifier(rng):
     return lambda: setattr(ob(name).modifiers[modifier], "show_viewport", value)
 
 
+def set_levels(rng):
+    name, value = mine(rng, with_modifiers=True), int(rng.integers(6))
+    found = [] if name is None else [m for m in ob(name).modifiers if m.type == "SUBSURF"]
+    if not found or found[0].render_levels == value:
+        return None  # as we had set it, and the user did, too
+    modifier = found[0].name
+    return lambda: setattr(ob(name).modifiers[modifier], "render_levels", value)
+
+
+def set_resolution(rng):
+    name, value = mine(rng, "CURVE"), int(rng.integers(20))
+    if name is None or ob(name).data.render_resolution_u == value:
+        return None
+    return lambda: setattr(ob(name).data, "render_resolution_u", value)
+
+
+def reshape(rng):
+    name, place = mine(rng, "MESH"), rng.uniform(-1, 1, 3).tolist()
+    if "lipac_kept" in ob(name) or not ob(name).data.vertices:
+        return None  # it would be lost: the panel says so
+
+    def run():
+        ob(name).data.vertices[0].co = place
+        ob(name).data.update()
+
+    return run
+
+
 def activate_modifier(rng):
     name = mine(rng, "MESH", with_modifiers=True)
     found = [] if name is None else users_modifiers(name)
@@ -217,7 +284,7 @@ def save_and_open(rng):
 
 EDITS = (
     *(move, rename, show_or_hide, close_or_open_eye, show_or_hide_collection, new_object, copy_object, remove_object),
-    *(new_modifier, remove_modifier, set_modifier),
+    *(new_modifier, remove_modifier, set_modifier, set_levels, set_resolution, reshape),
     *(activate_modifier, key_location, key_visibility, new_collection, mark, custom_property, save_and_open),
 )
 
@@ -335,11 +402,11 @@ def start(ui, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("block", range(10))
-def test_as_the_user_left_it(start, block, monkeypatch):
+def test_as_the_user_left_it(start, coarser, block, monkeypatch):
     if block % 2:  # what the viewport shows changes by an eye or a scatter a tick
         monkeypatch.setattr(viewport_culling, "PART", 1)
         monkeypatch.setattr(viewport_culling, "ROWS", 1)
-    touched = culled = 0
+    touched = culled = simplified = 0
     for seed in range(block * SEQUENCES // 10, (block + 1) * SEQUENCES // 10):
         rng = np.random.default_rng(seed)
         start()
@@ -348,6 +415,7 @@ def test_as_the_user_left_it(start, block, monkeypatch):
             if rng.integers(2):
                 ours(rng)
                 touched += any(item.get("lipac_writeback") for item in bpy.data.objects if item.users_collection)
+                simplified += any("lipac_kept" in item for item in bpy.data.objects)
                 culled += bool(viewport.masked() or viewport.closed_eyes(bpy.context.view_layer))
                 continue
             edit = EDITS[rng.integers(len(EDITS))]
@@ -366,4 +434,4 @@ def test_as_the_user_left_it(start, block, monkeypatch):
             bpy.context.view_layer.update()
         without = snapshot()
         assert with_us == without, f"seed {seed}: {[name for name, _ in notes]}: {explain(with_us, without)}"
-    assert (touched > 20, culled > 5) == (True, True)  # or nothing was tried
+    assert (touched > 20, culled > 5, simplified > 5) == (True, True, True)  # or nothing was tried
