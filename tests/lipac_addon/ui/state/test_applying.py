@@ -26,7 +26,7 @@ def test_bake_shot_keeps_what_any_frame_needs(scene, hidden):
     assert hidden() == {"box5", "box6", "box7"}
     assert scene.lipac.applied
     assert sorted(results.of(scene)) == [1, 2, 3]
-    assert job.running.baked == (7, 10)
+    assert job.running.baked == (7, 10, 0)
     bpy.ops.ed.undo()
     assert hidden() == set()
     bpy.ops.ed.redo()
