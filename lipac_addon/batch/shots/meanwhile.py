@@ -8,6 +8,7 @@ other.
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from ....core.culling.options import State
 from ....core.files.atomic import alone, replacing
 from ....core.files.report import Report, States, load_states
-from ....core.progress import Progress, part
+from ....core.progress import Progress, clock, part
 from ....core.warmup import waiting
 from ...depsgraph import show_frame
 from ..ahead import Ahead
@@ -66,7 +67,8 @@ NOTHING = Meanwhile({}, {})
 class Judged:
     """What is known of the set that was judged last. digest: as the process calls it; set: of the frames in which it
     was judged, as far as they show it; held: by frame in which it holds, instances of it that stay, and how many frames
-    were judged by then; fails: it does not hold in some frame, so another follows."""
+    were judged by then; fails: it does not hold in some frame, so another follows; began: `time.perf_counter()` when
+    the first was judged."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -75,6 +77,7 @@ class Judged:
 
     def _begin(self, digest: str) -> None:
         self.digest, self.set, self.count, self.fails = digest, ShotSet(), 0, False
+        self.began = time.perf_counter()
         self.held: dict[int, tuple[NDArray[np.bool_], int]] = {}
 
     def look(self) -> None:
@@ -92,6 +95,16 @@ class Judged:
                 frame = int(path.name.split("_")[1])
                 self.held[frame] = states.state == State.ACTIVE, self.count
             self.fails |= not note["holds"]
+
+    def waited_for(self, grown: bool, frames: int, now: float) -> str:
+        """What is waited for once pictures are there, and the time left where it is known: not before a second frame of
+        so many was judged. grown: the set has, since they were rendered; now: `time.perf_counter()`."""
+        if self.fails:
+            return f"{WAITING}: the shot's set has to grow"
+        left = (now - self.began) / (self.count - 1) * (frames - self.count) if 1 < self.count <= frames else math.nan
+        why = "the shot's set has grown, " if grown else ""
+        known = "" if math.isnan(left) else f", about {clock(left)} left"
+        return f"{WAITING}: {why}judged in {min(self.count, frames)} of {frames} frames{known}"
 
     def is_complete(self, frames: Sequence[int]) -> bool:
         """Whether the set holds in all frames."""
@@ -112,7 +125,10 @@ def render_meanwhile(job: Job, written: Written, report: Report, progress: Progr
                 break
             left = [k for k in judged.held if k not in drawn or drawn[k].digest != judged.digest]
             if judged.fails or not left:
-                if not drawn:
+                if drawn:
+                    grown = any(one.digest != judged.digest for one in drawn.values())
+                    progress(math.nan, judged.waited_for(grown, len(frames), time.perf_counter()))
+                else:
                     tell()
                 ahead.go_on(ended, "the shot", cancelled)
                 continue

@@ -21,10 +21,12 @@ from lipac.core.culling.result import CullingResult
 from lipac.core.error_budget.budget import Budget
 from lipac.core.errors import InputError
 from lipac.core.files.report import Report
+from lipac.core.progress import Progress, silent
 from lipac.core.scene.model import RAY_TYPES
 from lipac.lipac_addon.batch.ahead import Said
 from lipac.lipac_addon.batch.job import SHOT, Job
 from lipac.lipac_addon.batch.pipeline import run
+from lipac.lipac_addon.batch.shots.meanwhile import Judged
 from lipac.lipac_addon.pictures import read_picture
 from lipac.scripts.lipac import main
 
@@ -33,9 +35,9 @@ FRAMES = tuple(range(1, 7))
 OPTIONS = CullOptions(width=96, paths=6, max_error=Budget(0.02, 0.1))
 
 
-def shot(folder: Path, **how: Any) -> Report:
+def shot(folder: Path, progress: Progress = silent, **how: Any) -> Report:
     report = Report("boxes", "", "", "light-paths", "cycles", 0, 1)
-    run(Job(folder, FRAMES, OPTIONS, "cycles", samples=1, bake=SHOT, **how), report)
+    run(Job(folder, FRAMES, OPTIONS, "cycles", samples=1, bake=SHOT, **how), report, progress)
     return report
 
 
@@ -104,14 +106,16 @@ def growing(moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 def test_a_set_that_grows(growing: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was rendered too early is rendered again, and nothing else; nothing is analysed here."""
-    rendered: list[int] = []
+    rendered, told = list[int](), set[str]()
     monkeypatch.setattr(union, "check", None)
     monkeypatch.setattr(union, "propose", None)
     bpy.app.handlers.render_post.append(lambda scene, _: rendered.append(scene.frame_current))
     try:
-        report = shot(tmp_path / "meanwhile", ahead=("scene.blend",), begun=Recorded(growing, tmp_path / "other"))
+        begun = Recorded(growing, tmp_path / "other")
+        report = shot(tmp_path / "meanwhile", lambda _, what: told.add(what), ahead=("scene.blend",), begun=begun)
     finally:
         bpy.app.handlers.render_post.pop()
+    assert any("the shot's set has to grow" in what for what in told)
     first = {json.loads(str(np.load(path)["note"]))["set"] for path in (growing / "analysis").glob("*_checked0.npz")}
     assert len(first) == 1
     assert set(rendered) == set(FRAMES)
@@ -120,6 +124,17 @@ def test_a_set_that_grows(growing: Path, tmp_path: Path, monkeypatch: pytest.Mon
     assert report.approximated == ["about so"]
     assert "beware" in report.warnings
     assert any(entry["wait_s"] >= 0 for entry in report.frames if "wait_s" in entry)
+
+
+def test_what_is_waited_for_is_said(tmp_path: Path) -> None:
+    judged = Judged(tmp_path)
+    judged.count, judged.began = 1, 100.0
+    assert judged.waited_for(False, 6, 110.0) == "waiting for the analysis: judged in 1 of 6 frames"
+    judged.count = 3
+    line = "waiting for the analysis: the shot's set has grown, judged in 3 of 6 frames, about 15 s left"
+    assert judged.waited_for(True, 6, 110.0) == line
+    judged.fails = True
+    assert judged.waited_for(True, 6, 110.0) == "waiting for the analysis: the shot's set has to grow"
 
 
 def test_an_analysis_that_ends_early_ends_the_command(growing: Path, tmp_path: Path) -> None:
