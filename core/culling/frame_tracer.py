@@ -163,12 +163,10 @@ class FrameTracer:
         Returns their part of the mean picture, (H, W, 4) float32, and the light of each, (H, W, S, 3) float32, less a
         backdrop as of `PathLog`.
         """
-        tlas = self.build(keep)
+        tlas, prepared = self.build(keep), self.with_only_emitters(keep)
         with self.timer.step("trace_s"):
             log = PathLog(np.zeros((0, RECORD), np.int32), np.zeros((*only.shape, 3), np.float32), backdrop)
-            picture = self._trace(
-                self.with_only_emitters(keep), tlas, only.shape[2], first_sample, None, progress, self.size, log, only
-            )
+            picture = self._trace(prepared, tlas, only.shape[2], first_sample, None, progress, self.size, log, only)
         return picture.mean, log.color
 
     def trace_without(
@@ -190,9 +188,8 @@ class FrameTracer:
             # without feedback paths are not recorded, nor boxes without weights
             weights = None if boxes is None else Weights.zeros(1, 1.0, first=len(tlas))
             feedback = Feedback.zeros(len(self.scene.instances), boxes, weights)
-            self._trace(
-                self.with_only_emitters(keep), tlas, only.shape[2], first_sample, feedback, silent, self.size, log, only
-            )
+            prepared = self.with_only_emitters(keep)
+            self._trace(prepared, tlas, only.shape[2], first_sample, feedback, silent, self.size, log, only, full)
             renumber(log.records.reshape(-1, RECORD), only.reshape(-1), places(full.ids, tlas.ids))
 
     def with_only_emitters(self, keep: np.ndarray, prepared: Prepared | None = None) -> Prepared:
@@ -217,6 +214,7 @@ class FrameTracer:
         size: tuple[int, int],
         log: PathLog | None = None,
         only: U8 | None = None,
+        full: Tlas | None = None,
     ) -> Picture:
         picture = trace(
             prepared,
@@ -233,6 +231,7 @@ class FrameTracer:
             cancelled=self._cancelled,
             log=log,
             only=only,
+            full=full,
         )
         if self._cancelled():
             raise Cancelled

@@ -71,6 +71,7 @@ from .path_rays import (
     coincident,
     count_boxes,
     entry_of,
+    hidden_in_full,
     intersect,
     look_around,
     looks_for_coincident,
@@ -269,14 +270,17 @@ def trace_path(s, w, key, record, ox, oy, oz, dx, dy, dz, far):
             add_worth(s, w, entry_of(s, w.ray_words), FAR)
         if watched and load_f32(material + M_REACH, 0) > _ZERO:
             look_around(s, w, key, dimension, load_f32(material + M_REACH, 0), count, luminance_of(tr, tg, tb))
-        if looks and not first:
+        if (looks or s.full != np.uint64(0)) and not first:
             entry = entry_of(s, w.ray_words)
-            other = coincident(s, w, instance, ray_type)
-            w.stats[LOOKS] += 1
-            if other >= 0:
-                w.stats[COINCIDENT] += 1
-                add_worth(s, w, entry, FAR)
-                add_worth(s, w, other, FAR)
+            other = coincident(s, w, ray_type)
+            if looks:
+                w.stats[LOOKS] += 1
+                if other >= 0:
+                    w.stats[COINCIDENT] += 1
+                    add_worth(s, w, entry, FAR)
+                    add_worth(s, w, other, FAR)
+            elif other >= 0 and hidden_in_full(s, w, ox, oy, oz, dx, dy, dz, t, ray_type):
+                return  # nobody knows what shows here, and it did not show: the light of such a path is gone
         if background and (shader == _HOLDOUT or np.int64(load_u8(s.table[T_FLAGS], instance)) & _HOLDOUT_FLAG != 0):
             w.total[3] += (tr + tg + tb) * _THIRD
             return

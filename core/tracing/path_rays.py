@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import carray, njit
+from numba import carray, cfunc, njit, types
 
 from ..accel.embree import (
     DIR,
@@ -27,6 +27,7 @@ from ..accel.embree import (
     INST_PRIM_ID,
     INVALID,
     MASK,
+    NG,
     ORG,
     PRIM_ID,
     RAY,
@@ -37,7 +38,7 @@ from ..accel.embree import (
 from ..accel.embree import _intersect1 as rtc_intersect
 from ..accel.hitboxes import QUERY, count_crossings
 from ..jit.atomics import pointer
-from ..jit.pointers import load_f32, load_i32, load_u32, u32_pointer
+from ..jit.pointers import i32_pointer, load_f32, load_i32, load_u32, u32_pointer, u64_pointer
 from ..jit.sampling import INNER, mix, uniform2
 from ..scene.model import ALL_RAYS, RAY_TYPES, RayType
 from .bsdf.lobes import F_NG
@@ -55,6 +56,8 @@ _EVERY = np.uint64(7)  # paths look where these bits of their key are 0: one in 
 _SALT, _AROUND = np.uint64(0x636F706C616E6172), np.uint64(0x61726F756E64)
 _SHADOW, _ALL = np.int64(RayType.SHADOW), np.uint32(ALL_RAYS)
 _REACH = np.float32(2.0)  # times the bound of a hit's error: this tracer's error, and that of a renderer
+_ARGUMENT_FILTER = np.uint64(0xFFFFFFFF00000002)  # of RTCIntersectArguments: flags, and every feature
+_GRAZING = np.float32(0.01)  # cosine to the normal: at less, a surface counts as no thicker
 _PARALLEL = np.float32(0.99)  # cosine between normals: at less, surfaces cross in a line, which is no area
 
 
@@ -130,20 +133,55 @@ def looks_for_coincident(key):
 
 
 @njit(**INNER)
-def coincident(s, w, instance, ray_type):
-    """TLAS entry of another instance that has a surface of the same plane where a path has met one, or -1. w.surf,
-    w.frame: of the hit, its normals turned to where the path came from. Overwrites w.ray."""
+def reach_of(w):
+    """How far from where a path has met a surface, w.surf, another may lie that a renderer takes for the same.
+
+    Of all axes: ground at 0 is exactly flat here, but a renderer meets it at distances that it has rounded.
+    """
+    return _REACH * max(w.surf[S_ERROR], max(w.surf[S_ERROR + 1], w.surf[S_ERROR + 2]))
+
+
+@cfunc(types.void(types.CPointer(types.uintp)), cache=True)
+def _others(arguments):
+    # RTCFilterFunctionNArguments: valid, user pointer, context, ray, hit, N. Rejects hits of the instance that is named
+    # behind Embree's part of the context.
+    hit, context = arguments[4], arguments[2]
+    same = load_u32(hit, INST_ID - NG) == load_u32(context, 2)
+    if same and load_u32(hit, INST_PRIM_ID - NG) == load_u32(context, 3):
+        i32_pointer(arguments[0])[0] = 0
+
+
+OTHERS = int(_others.address or 0)
+
+
+@njit(**INNER)
+def _nearest_other(s, w, instance, prim):
+    """Closest hit of w.ray of another instance than that which Embree names so. Overwrites w.query."""
+    query, words = u64_pointer(w.query), u32_pointer(w.query)
+    words[0] = words[1] = np.uint32(INVALID)  # RTCRayQueryContext, and what the callback needs
+    words[2] = instance
+    words[3] = prim
+    query[2] = _ARGUMENT_FILTER  # RTCIntersectArguments
+    query[3] = w.query
+    query[4] = s.others
+    query[5] = query[6] = np.uint64(0)
+    rtc_intersect(pointer(s.tlas), pointer(w.ray_words), pointer(w.query + np.uint64(16)))
+    return load_u32(w.ray_words, GEOM_ID) != np.uint32(INVALID)
+
+
+@njit(**INNER)
+def coincident(s, w, ray_type):
+    """TLAS entry of another instance that has a surface of the same plane where a path has met one, or -1. w.ray: as it
+    met it, and overwritten; w.surf, w.frame: of the hit, its normals turned to where the path came from."""
+    instance, prim = load_u32(w.ray_words, INST_ID), load_u32(w.ray_words, INST_PRIM_ID)
     nx, ny, nz = w.frame[F_NG], w.frame[F_NG + 1], w.frame[F_NG + 2]
-    reach = _REACH * (abs(nx) * w.surf[S_ERROR] + abs(ny) * w.surf[S_ERROR + 1] + abs(nz) * w.surf[S_ERROR + 2])
-    # from behind: the path has met what lies in front
+    reach = reach_of(w)
     ox, oy, oz = w.surf[S_P] - reach * nx, w.surf[S_P + 1] - reach * ny, w.surf[S_P + 2] - reach * nz
     set_ray(w.ray, w.ray_words, ox, oy, oz, nx, ny, nz, _TWO * reach, ray_type)
-    if not intersect(s.tlas, w.ray_words):
+    if not _nearest_other(s, w, instance, prim):
         return np.int64(-1)
     entry = entry_of(s, w.ray_words)
     other = np.int64(s.ids[entry])
-    if other == instance:
-        return np.int64(-1)
     triangle = np.int64(load_u32(w.ray_words, PRIM_ID))
     _, _, _, ux, uy, uz, vx, vy, vz = triangle_edges(s.meshes, s.table, other, triangle)
     mx, my, mz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -151,6 +189,18 @@ def coincident(s, w, instance, ray_type):
     if not along * along > _PARALLEL * _PARALLEL * (mx * mx + my * my + mz * mz):
         return np.int64(-1)
     return entry
+
+
+@njit(**INNER)
+def hidden_in_full(s, w, ox, oy, oz, dx, dy, dz, t, ray_type):
+    """Whether something of the full scene lies before what a path has met at t on the ray from o along d. w.surf,
+    w.frame: of the hit. Overwrites w.ray."""
+    along = abs(w.frame[F_NG] * dx + w.frame[F_NG + 1] * dy + w.frame[F_NG + 2] * dz)
+    before = t - _TWO * reach_of(w) / max(along, _GRAZING)
+    if before <= _ZERO:
+        return False
+    set_ray(w.ray, w.ray_words, ox, oy, oz, dx, dy, dz, before, ray_type)
+    return intersect(s.full, w.ray_words)
 
 
 @njit(**INNER)

@@ -65,6 +65,8 @@ class Scenery(NamedTuple):
     children: Any
     meshes: Any
     tlas: Any
+    full: Any
+    others: Any
     ids: Any
     first: Any
     hitboxes: Any
@@ -111,11 +113,11 @@ class Scratch(NamedTuple):
 
 # Where the kernel finds things, uint64[ADDRESSES]: A_* addresses, N_* lengths, handles as they are.
 (
-    A_TABLE, A_LIGHTS, A_LAMPS, A_NODES, A_CHILDREN, A_MESHES, TLAS, A_IDS, A_FIRST, HITBOXES, A_COUNTERS, N_COUNTERS,
-    A_FEEDBACK, A_WEIGHTS, A_TILE_LIGHT, A_ENTRIES, A_LOG, A_COLOR, A_ONLY, A_PRIMARY, A_PRIMARY_MESHES, A_PARTS, BOXES,
-    A_BOX_COUNTERS, N_BOXES, A_SETTINGS, A_LIMITS, A_CAMERA, A_FILTER, A_SUMS, A_STATS
-) = range(31)
-ADDRESSES = 31
+    A_TABLE, A_LIGHTS, A_LAMPS, A_NODES, A_CHILDREN, A_MESHES, TLAS, FULL, OTHERS, A_IDS, A_FIRST, HITBOXES, A_COUNTERS,
+    N_COUNTERS, A_FEEDBACK, A_WEIGHTS, A_TILE_LIGHT, A_ENTRIES, A_LOG, A_COLOR, A_ONLY, A_PRIMARY, A_PRIMARY_MESHES,
+    A_PARTS, BOXES, A_BOX_COUNTERS, N_BOXES, A_SETTINGS, A_LIMITS, A_CAMERA, A_FILTER, A_SUMS, A_STATS
+) = range(33)
+ADDRESSES = 33
 
 
 @njit(**INNER)
@@ -128,6 +130,8 @@ def scenery(a):
         i32_pointer(a[A_CHILDREN]),
         a[A_MESHES],
         a[TLAS],
+        a[FULL],
+        a[OTHERS],
         i32_pointer(a[A_IDS]),
         i64_pointer(a[A_FIRST]),
         a[HITBOXES],

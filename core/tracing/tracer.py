@@ -28,6 +28,7 @@ from . import path_state as state
 from .bsdf.lobes import SHADING_FLAGS
 from .lights.lamps import FAR
 from .lights.lights import Lights, emissive_instances
+from .path_rays import OTHERS
 from .second_process import share
 from .surface import SceneTable
 from .tile_kernel import trace_tiles
@@ -127,6 +128,7 @@ def trace(
     log: PathLog | None = None,
     only: NDArray[np.uint8] | None = None,
     boxes: Hitboxes | None = None,
+    full: Tlas | None = None,
 ) -> Picture:
     """Trace samples paths per pixel through the instances in tlas.
 
@@ -141,6 +143,8 @@ def trace(
     are not 0.
     Where the scene has first hits of a picture of `size`, paths start at these and the picture has parts. boxes: of
     what is culled, to tell for the parts which light of lamps that may block.
+    full: what tlas is a part of. A path that meets surfaces which share a place, where something in full hid them from
+    it, brings no light from there: what such places show is not known.
     """
     share()
     scene = prepared.scene
@@ -166,6 +170,8 @@ def trace(
         addresses[state.A_ENTRIES] = address(entries)
     if only is not None:
         addresses[state.A_ONLY] = address(only)
+    if full is not None:
+        addresses[state.FULL] = int(full.handle)
     parts, primary = None, scene.first_hits.get((width, height))
     if primary is not None:
         parts, camera = np.zeros((height, width, state.PARTS), np.float32), camera_constants(primary.camera)
@@ -313,6 +319,7 @@ def _addresses(
         state.A_CHILDREN: address(lights.children),
         state.A_MESHES: address(prepared.blas.table),
         state.TLAS: int(tlas.handle),
+        state.OTHERS: OTHERS,
         state.A_IDS: address(tlas.ids),
         state.A_FIRST: address(tlas.first),
         state.A_SETTINGS: address(settings),

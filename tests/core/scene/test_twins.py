@@ -67,3 +67,20 @@ def test_parts_of_one_mesh_lie_side_by_side(owners: tuple[int, int]) -> None:
     assert twins.rows(scene.instances).tolist() == [2, 3]
     twins.divide(2, np.array(owners))
     assert twins.rows(scene.instances).tolist() == ([] if owners[0] == owners[1] else [2, 3])
+
+
+@pytest.mark.parametrize("behind", [1, 2])
+def test_what_hides_surfaces_that_share_a_plane_stays(behind: int) -> None:
+    """Cards before larger ones that look alike go; where two of those lie in one plane, what a renderer shows of them
+    without the card before them nobody knows, so that it stays."""
+
+    def card(x: float, y: float, size: float) -> np.ndarray:
+        return np.array([[size, 0, 0, x], [0, 0, -1, y], [0, size, 0, 1]], np.float32)
+
+    cards = [card(x, -0.1, 0.8) for x in (-3, -1, 1, 3)]
+    larger = [card(x + 0.04 * k, 0, 1.2) for x in (-3, -1, 1, 3) for k in range(behind)]
+    placement = [*((0, place, 0) for place in (*cards, *larger)), (0, card(0, 3, 40), 1)]
+    colors = [scenes.material(base_color=0.5), scenes.material(base_color=0.05)]
+    scene = scenes.build([scenes.quad()], placement, colors, camera=scenes.look_at((0, -8, 1), (0, 0, 1)))
+    stays = analyze(scene, CullOptions(max_error=Budget(0.05, 0.5))).active
+    assert stays[4:].all() and stays[:4].tolist() == [behind > 1] * 4

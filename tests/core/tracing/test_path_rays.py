@@ -54,6 +54,16 @@ def test_a_decal_in_the_plane_of_its_wall_stays_and_it_is_said(gap: float, angle
     assert any("in one place" in line for line in result.warnings)
 
 
+def test_floors_at_zero_are_in_one_place_and_one_a_millimetre_below_is_not() -> None:
+    """They are exactly flat, with no error of rounding across."""
+    camera, grey = scenes.look_at((0, -6, 3), (0, 0, 0)), [material(base_color=0.5)]
+    for depth, stay in ((0.0, True), (1e-3, False)):
+        floors = [(0, scenes.placed((0, 0, 0), 30.0), 0), (0, scenes.placed((0.3, 0.2, -depth), 1.7), 0)]
+        scene = scenes.build([scenes.quad()], floors, grey, camera, None, (1, 1, 1), SIZE, s.PathLimits(total=2))
+        result = analyze(scene, CullOptions(width=SIZE[0], max_error=Budget(0.05, 0.2)))
+        assert result.active.all() == stay == any("in one place" in line for line in result.warnings)
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.7])
 def test_a_decal_behind_its_wall_goes_and_nothing_is_said(angle: float) -> None:
     """At a distance that is no rounding error: a millimetre."""
