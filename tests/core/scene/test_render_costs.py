@@ -78,7 +78,7 @@ def test_parts_take_together_what_their_mesh_takes(costs):
     assert len(parts.geometry) == len(parts.cutting) == 6
     assert costs.mesh[0] <= parts.mesh[3:].sum() <= costs.mesh[0] + 6
     assert parts.mesh[3] == pytest.approx(0.6 * costs.mesh[0], abs=2)
-    assert parts.fixed == 7 + costs.cutting[0]
+    assert parts.fixed == 7 + costs.cutting[0] + costs.instance[0]  # the object is there while a part of it is
     whole = instances([0, 1, 1, 2, 3, 4, 5], [0] * 7)
     assert parts.total(*whole, np.array([0, 0, 0, 0, 1, 0, 0], bool)) == parts.fixed + parts.mesh[3] + 1000
 
