@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import bpy
 
 from ....core.errors import InputError
-from ....core.files.usage import give_back
 from ... import roles
 from ...depsgraph import rendered_layers
 from ...keys import any_of
@@ -108,7 +107,7 @@ class AnalysisJob(Job):
         frame: with its subframe.
         """
         self._extractor = self._shot = None
-        give_back()  # their memory
+        self.results = asking.ended(self.results)
         scene = session.find_scene(self._uid)
         if scene is None:
             return

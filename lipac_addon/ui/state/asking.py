@@ -3,7 +3,7 @@ renders; and what these are then predicted to take."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -123,8 +123,20 @@ def weighed(
     process = _held() if options.memory else resident_memory()
     full = one.in_full.figures(process)["memory_bytes"]
     now = (one.by(_plan(found, scene)) if options.memory else one).figures(process)
-    taken = Taken(full, now["memory_bytes"], now["memory_bytes"] + now["memory_error_bytes"])
+    taken = Taken(full, now["memory_bytes"], now["memory_bytes"] + now["memory_error_bytes"], process)
     return replace(found, memory=rows, taken=taken)
+
+
+def ended(found: Mapping[int, FrameResult]) -> dict[int, FrameResult]:
+    """What frames were found to take, where that is not limited, without what the analysis took itself, which has
+    ended."""
+    process = _held()
+    return {
+        number: one
+        if one.taken is None or "memory_limit_bytes" in one.stats
+        else replace(one, taken=one.taken.after(process))
+        for number, one in found.items()
+    }
 
 
 def _plan(found: FrameResult, scene: bpy.types.Scene) -> Plan:

@@ -43,11 +43,18 @@ class Reason:
 
 @dataclass(frozen=True)
 class Taken:
-    """Bytes that Blender is predicted to take while it renders a frame: in full, culled, and culled at most."""
+    """Bytes that Blender is predicted to take while it renders a frame: in full, culled, and culled at most. process:
+    of these, before it renders."""
 
     full: int
     culled: int
     most: int
+    process: int = 0
+
+    def after(self, process: int) -> Taken:
+        """Where it takes so many bytes before it renders."""
+        more = process - self.process
+        return Taken(self.full + more, self.culled + more, self.most + more, process)
 
 
 @dataclass(frozen=True, eq=False)

@@ -266,10 +266,15 @@ def test_less_stays_where_less_fits(scene: bpy.types.Scene, monkeypatch: pytest.
     assert less is not None and less.taken is not None and less.taken.most <= 582_000_000
     assert less.stats["certified_mean"] > 0.01 > all_of_it.stats["certified_mean"]
     assert less.reason(bpy.data.objects["Plane"]).kept == 1
-    held = iter([500_000_000, 510_000_000, 500_000_000, 500_000_000])
+    held = iter([500_000_000, 510_000_000, *3 * [500_000_000]])
     monkeypatch.setattr(asking, "_held", lambda: next(held))
     assert not limited(scene, 0.584).error
     assert next(held, None) is None
+    scene.lipac.limit_memory = False
+    monkeypatch.setattr(asking, "_held", lambda: 10**12)  # when all has ended
+    assert bpy.ops.lipac.analyze() == {"FINISHED"}
+    free = results.at(scene)
+    assert free is not None and free.taken is not None and 0 < free.taken.culled - 10**12 < 10**9
 
 
 @pytest.mark.parametrize("role", ["PIN", "IGNORE"])
