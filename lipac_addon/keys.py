@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Records
+from ..core.scene.together import Removal
 
 
 class Kind(IntEnum):
@@ -63,3 +64,29 @@ def packed(records: Records) -> NDArray[np.void]:
     """(N,) records of KEY as items that can be sorted and compared, of a fixed number of bytes."""
     columns = np.column_stack([records["kind"].astype(np.int32), records["host"], records["object"], records["path"]])
     return np.ascontiguousarray(columns, np.int32).view(f"V{4 * columns.shape[1]}").ravel()
+
+
+def removal_of(records: Records) -> Removal | None:
+    """What instances of records of KEY can be taken out with, as far as keys tell; None where each goes alone.
+
+    An object that is hidden takes all with it that shows or makes it; parts of what an object instances go with the
+    object, too; rows of geometry nodes go with all that is nested in them; particles with all of their emitter.
+    """
+    kind, host, shown = (records[name].astype(np.int64) for name in ("kind", "host", "object"))
+    nodes, row, deep = kind == Kind.GEOMETRY_NODES, records["path"][:, 0], records["path"][:, 1] >= 0
+    names = int(max(host.max(initial=-1), shown.max(initial=-1))) + 1
+    part = (kind == Kind.COLLECTION) | (kind == Kind.DUPLI)
+    hidden = np.where((kind == Kind.OBJECT) | part | (nodes & deep), shown, -1)
+    other = np.where(part, host, -1)
+    particle = (kind == Kind.PARTICLE) & (host >= 0)
+    other[particle] = names + host[particle]
+    code = (host << 32 | row)[nodes]
+    if deep[nodes].any() or (code[1:] == code[:-1]).any():  # else each row shows one thing
+        other[nodes] = 2 * names + np.unique(code, return_inverse=True)[1]
+    groups = np.stack([hidden, other])
+    size = np.bincount(groups[groups >= 0])
+    shared = (np.append(size, 0)[groups] > 1).any(axis=0)
+    if not shared.any():
+        return None
+    rows = np.flatnonzero(shared)
+    return Removal(rows, groups[:, rows].astype(np.int32))

@@ -24,7 +24,7 @@ from ..files.figures import percent
 from ..progress import Progress, part, silent
 from ..scene.model import RAY_TYPES, Scene
 from .certificate import LEVELS, MORE, NOTHING_SURE, STEEPEST, Certificate, Verdict, pays
-from .frame_tracer import twins_met, with_twins, without_bound
+from .frame_tracer import as_rendered, twins_met, with_twins, without_bound
 from .levels.levelled import CULLING, PROPOSALS, Levelled, has_levels, levelled
 from .loop import ENTRIES_PER_PATH, Loop, all_stay, trace_witness
 from .measurement import DARKNESS, Measurement, Traced, evidence
@@ -380,7 +380,7 @@ def kept_of(loop: Loop, units: Units, cull: np.ndarray, ids: I32) -> np.ndarray:
     keep = np.zeros(len(loop.activation), bool)
     keep[units.unmet_kept(cull, loop.activation.regions)] = True
     keep[ids] = ~units.entries(cull)
-    return np.asarray(keep | loop.activation.pinned)
+    return as_rendered(loop.tracer, keep | loop.activation.pinned)
 
 
 def _culled_before(loop: Loop, units: Units, ids: I32) -> np.ndarray | None:

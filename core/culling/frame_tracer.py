@@ -24,7 +24,7 @@ from ..scene.change import Change
 from ..scene.film import Picture
 from ..scene.known_light import known_light
 from ..scene.model import Scene
-from ..scene.twins import Twins
+from ..scene.together import Twins
 from ..tracing.seen_emitters import SeenEmitters, seen_emitters
 from ..tracing.tracer import Prepared, advanced, prepare, trace
 from .measurement import known_share
@@ -241,14 +241,23 @@ class FrameTracer:
 
 
 def with_twins(tracer: FrameTracer, keep: np.ndarray) -> np.ndarray:
-    """keep, (N,) bool, with all that lie exactly where one of them does."""
-    return tracer.twins.joined(tracer.scene.instances.bounds, keep)
+    """keep, (N,) bool, with all that lie exactly where one of them does, and what cannot go without these."""
+    return as_rendered(tracer, tracer.twins.joined(tracer.scene.instances.bounds, keep))
+
+
+def as_rendered(tracer: FrameTracer, keep: np.ndarray) -> np.ndarray:
+    """keep, (N,) bool, with what cannot be taken out of the picture without it."""
+    if tracer.scene.removal is None:
+        return keep
+    some = tracer.twins.whole(keep)
+    more = tracer.scene.removal.staying(some) & ~some
+    return tracer.twins.with_parts(keep, more) if more.any() else keep
 
 
 def twins_met(tracer: FrameTracer, hits: I64) -> NDArray[np.intp]:
     """Instances that lie exactly where another one does, and that rays met: nobody knows what such show. hits: as of
     `Feedback`; which share of them is on such is noted."""
-    twins = tracer.twins.rows(tracer.scene.instances)
+    twins = tracer.twins.rows(tracer.scene.instances.bounds, tracer.scene.instances.transform)
     if not len(twins):
         return twins
     met = hits[twins].sum(axis=1)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..arrays import F32, F64, I32, U8, Records
 from .mesh import CoarserMeshes, Mesh, MeshTable
 from .render_costs import RenderCosts
+from .together import Removal
 
 
 class RayType(IntEnum):
@@ -350,7 +351,8 @@ class Scene:
     one at random; none: it stands still. whole: why nothing may be culled by light paths, in words; "": it may. stays:
     (N,) bool, instances that the picture shows by other things than light; None: none.
     simplifiable: (M,) bool, meshes that may be exchanged for simplified ones; None: none. coarser: meshes that can be
-    had with fewer triangles. triangles: (M,) int64 of each mesh, where they are known without loading.
+    had with fewer triangles. triangles: (M,) int64 of each mesh, where they are known without loading. removal: what
+    cannot be taken out alone; None: all can.
     """
 
     instances: Instances
@@ -375,6 +377,7 @@ class Scene:
     simplifiable: NDArray[np.bool_] | None = None
     coarser: CoarserMeshes | None = None
     triangles: NDArray[np.int64] | None = None
+    removal: Removal | None = None
 
 
 def default_material() -> Records:

@@ -3,7 +3,7 @@
 Surfaces of two instances may lie in one plane: a decal on its wall at no distance, two floors at 0. A renderer shows
 neither properly: which of them a ray meets, and whether one shadows the other, is chance. Where one goes, the other
 looks different, though paths may have met but one of them. Instances that lie exactly where another one does are found
-by their boxes (core.scene.twins); those that share a plane, by short rays at what paths meet.
+by their boxes (core.scene.together); those that share a plane, by short rays at what paths meet.
 
 Shaders may ask what is around a surface (Ambient Occlusion, Raycast): what that does to its look nobody knows, so rays
 look around where paths meet such a surface, and what these find stays.

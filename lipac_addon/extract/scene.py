@@ -16,7 +16,7 @@ from ...core.scene.frustum import View
 from ...core.scene.model import InstanceFlag, Scene, Unsure
 from ...core.scene.placing import scene_origin
 from ..depsgraph import STAND_IN
-from ..keys import Keys, Kind
+from ..keys import Keys, Kind, removal_of
 from .camera import (
     NO_CAMERA,
     extract_camera,
@@ -181,8 +181,7 @@ class SceneReader:
         if any(casts_caustics(node.item) for node in graph.order):
             approximated.setdefault(CAUSTICS)
         approximated |= dict.fromkeys((*[DISPLACED][: len(much)], *shading.approximated, *lines))
-        to_world = camera.to_world.copy()
-        to_world[:, 3] -= placed.origin
+        to_world = np.column_stack([camera.to_world[:, :3], camera.to_world[:, 3] - placed.origin])
         result = Scene(
             instances=placed.rows.instances(),
             meshes=LazyMeshes(graph.geometry.meshes.sources, shading.uv_maps),
@@ -209,6 +208,7 @@ class SceneReader:
                 depsgraph.view_layer.name,
             ),
             triangles=graph.geometry.meshes.triangles(),
+            removal=removal_of(placed.rows.records),
         )
         scatters = {
             n.full_name: n.geometry.columns[:, 3, :3]

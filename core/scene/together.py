@@ -1,4 +1,5 @@
-"""Instances that lie exactly where another one does: an object that was duplicated and never moved.
+"""Instances that stay or go together: for a file has no means to take out one without the others, or for they lie
+exactly in one place, as an object does that was duplicated and never moved.
 
 A renderer shows neither of two coincident surfaces properly: each shadows the other. Where one goes, the other is lit.
 So they stay or go together, although light paths meet but one of them, and those that paths meet stay: how dark they
@@ -7,13 +8,39 @@ are to a renderer, or how much light they let through together, nobody knows.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import F32, I64
-from .model import Instances
+from ..arrays import F32, I32, I64
 
 _MIX = np.uint64(0x9E3779B97F4A7C15)  # SplitMix64's
+
+
+@dataclass(frozen=True)
+class Removal:
+    """What instances can be taken out with: an instance of a group goes where all of one of its groups does.
+
+    rows: (R,) int64, instances that are in a group; all others go one by one. groups: (G, R) int32 numbers, -1 for
+    none.
+    """
+
+    rows: I64
+    groups: I32
+
+    def staying(self, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """keep, (N,) bool, with what cannot be taken out."""
+        wanted = keep[self.rows]
+        if wanted.all():
+            return keep
+        live = np.zeros(int(self.groups.max(initial=-1)) + 2, bool)  # the last is that of -1
+        for group in self.groups:
+            live[group[wanted]] = True
+        live[-1] = True
+        out = keep.copy()
+        out[self.rows] |= live[self.groups].all(axis=0)
+        return out
 
 
 class Twins:
@@ -32,11 +59,12 @@ class Twins:
         their boxes may be the same."""
         self._first, self._owner, self._placed = first, owner, None
 
-    def rows(self, instances: Instances) -> NDArray[np.intp]:
-        """Instances that lie where another one does, and are placed as that is: others with the same box may cross."""
-        self._find(instances.bounds)
+    def rows(self, boxes: F32, transform: F32) -> NDArray[np.intp]:
+        """Instances that lie where another one does, and are placed as that is: others with the same box may cross.
+        boxes, transform: (N, 2, 3) and (N, 3, 4) float32, of the instances."""
+        self._find(boxes)
         if self._placed is None:
-            placed = instances.transform[self._rows].reshape(len(self._rows), 12)
+            placed = transform[self._rows].reshape(len(self._rows), 12)
             code = _codes(placed) ^ self._group.astype(np.uint64) * _MIX
             _, group = np.unique(code, return_inverse=True)
             of = self._owners()
@@ -65,6 +93,22 @@ class Twins:
         out = keep.copy()
         out[self._rows] |= stays[self._group]
         return out
+
+    def whole(self, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(W,) bool, instances of which something stays, parts of them included, where keep, (N,) bool, does."""
+        if not len(self._owner):
+            return keep
+        out = keep[: self._first].copy()
+        out[self._owner[keep[self._first :]]] = True
+        return out
+
+    def with_parts(self, keep: NDArray[np.bool_], more: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """keep, (N,) bool, with all parts of more, (W,) bool."""
+        if not len(self._owner):
+            return keep | more
+        undivided = more.copy()
+        undivided[self._owner] = False
+        return keep | np.concatenate([undivided, more[self._owner]])
 
     def _find(self, boxes: F32) -> None:
         if boxes is self._boxes:

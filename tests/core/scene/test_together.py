@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from lipac.core.culling.analysis import analyze
 from lipac.core.culling.options import CullOptions
 from lipac.core.error_budget.budget import Budget
-from lipac.core.scene.twins import Twins
+from lipac.core.scene.together import Removal, Twins
 
 from .. import scenes
 
@@ -43,7 +45,7 @@ def test_what_is_placed_alike_is_told_from_what_crosses() -> None:
     turn = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0]], np.float32)
     cards = [scenes.placed((x, 0, 0)) for x in (0, 0, 5, 9)]
     scene = scenes.build([scenes.cube(), scenes.cube()], [(k % 2, place, 0) for k, place in enumerate([*cards, turn])])
-    assert Twins().rows(scene.instances).tolist() == [0, 1]
+    assert Twins().rows(scene.instances.bounds, scene.instances.transform).tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("copies", [1, 2])
@@ -64,9 +66,10 @@ def test_parts_of_one_mesh_lie_side_by_side(owners: tuple[int, int]) -> None:
     places = [scenes.placed((9.0 * k, 0, 0)) for k in (0, 1, 2, 2)]
     scene = scenes.build([scenes.cube()], [(0, place, 0) for place in places])
     twins = Twins()
-    assert twins.rows(scene.instances).tolist() == [2, 3]
+    assert twins.rows(scene.instances.bounds, scene.instances.transform).tolist() == [2, 3]
     twins.divide(2, np.array(owners))
-    assert twins.rows(scene.instances).tolist() == ([] if owners[0] == owners[1] else [2, 3])
+    rows = twins.rows(scene.instances.bounds, scene.instances.transform)
+    assert rows.tolist() == ([] if owners[0] == owners[1] else [2, 3])
 
 
 @pytest.mark.parametrize("behind", [1, 2])
@@ -84,3 +87,33 @@ def test_what_hides_surfaces_that_share_a_plane_stays(behind: int) -> None:
     scene = scenes.build([scenes.quad()], placement, colors, camera=scenes.look_at((0, -8, 1), (0, 0, 1)))
     stays = analyze(scene, CullOptions(max_error=Budget(0.05, 0.5))).active
     assert stays[4:].all() and stays[:4].tolist() == [behind > 1] * 4
+
+
+def test_what_is_taken_out_together_against_a_plain_search() -> None:
+    """An instance stays where it is to, or where something of each of its groups is; those in no group go alone."""
+    rng = np.random.default_rng(1)
+    for groups_of_each in (1, 2):
+        rows = np.sort(rng.choice(60, 40, replace=False))
+        groups = rng.integers(-1, 8, (groups_of_each, 40)).astype(np.int32)
+        groups[0, groups.max(axis=0) < 0] = 0
+        for share in (0.0, 0.05, 0.3, 1.0):
+            keep = rng.random(60) < share
+            live = {g for row, of in zip(rows, groups.T, strict=True) if keep[row] for g in of.tolist() if g >= 0}
+            wanted = keep.copy()
+            for row, of in zip(rows, groups.T, strict=True):
+                wanted[row] |= all(g in live for g in of.tolist() if g >= 0)
+            assert Removal(rows, groups).staying(keep).tolist() == wanted.tolist()
+
+
+def test_a_set_is_judged_with_what_cannot_be_taken_out() -> None:
+    """A bright thing that nothing but a dark one hides, both of one row of a scatter: where the dark one stays, so does
+    the bright one, although no path meets it, and nothing is certified without it."""
+    places = [scenes.placed((0.7 * k - 2, 0, 0.5), 0.4) for k in range(6)]
+    below = [scenes.placed((0.7 * k - 2, 0, -3), 0.4) for k in range(6)]
+    ground = (1, scenes.placed((0, 0, 0), 40.0), 0)
+    scene = scenes.build([scenes.cube(), scenes.quad()], [ground, *((0, p, 0) for p in (*places, *below))])
+    pairs = Removal(np.arange(1, 13), np.tile(np.arange(6, dtype=np.int32), 2)[None])
+    options = CullOptions(max_error=Budget(0.001, 0.005))
+    alone, together = analyze(scene, options), analyze(dataclasses.replace(scene, removal=pairs), options)
+    assert alone.active.tolist() == [True] * 7 + [False] * 6
+    assert together.active.all()
