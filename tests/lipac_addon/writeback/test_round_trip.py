@@ -11,6 +11,7 @@ import pytest
 import lipac
 from lipac.lipac_addon.extract import extract_frame
 from lipac.lipac_addon.writeback import apply, restore
+from lipac.lipac_addon.writeback.plan import DUPLI, FEEDS, NESTED, PART, PARTICLE
 
 SHARED = Path(lipac.__file__).parent.parent / "shared" / "scenes"
 REAL = [
@@ -64,4 +65,33 @@ def test_real_scenes(name):
         pytest.skip(f"no {SHARED / name}")
     bpy.ops.wm.open_mainfile(filepath=str(SHARED / name))
     assert check_round_trip() > 0
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def left_over(shares=(0.3, 0.7, 0.95)):
+    """Why instances stay that a set lets go, where the set has all that its keys say cannot go without it."""
+    full, why = extracted(), Counter()
+    rng = np.random.default_rng(0)
+    for share in shares:
+        keep = rng.random(len(full.keys.records)) >= share
+        if full.scene.removal is not None:
+            keep = full.scene.removal.staying(keep)
+        result = apply(~keep, full.keys)
+        why += Counter(result.kept)
+        assert (result.removed == ~keep).all() == (not result.kept)
+    restore()
+    return why
+
+
+def test_a_set_with_what_cannot_go_without_it_is_what_is_rendered(any_scene):
+    """But for what keys do not tell: lights in an instance, simulations, and the like."""
+    assert not {NESTED, PART, PARTICLE, DUPLI} & set(left_over())
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_so_it_is_in_real_scenes(name):
+    if not (SHARED / name).exists():
+        pytest.skip(f"no {SHARED / name}")
+    bpy.ops.wm.open_mainfile(filepath=str(SHARED / name))
+    assert not set(left_over()) - {FEEDS}
     bpy.ops.wm.read_factory_settings(use_empty=True)
