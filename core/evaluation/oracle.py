@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import F64, I32
+from ..culling.frame_tracer import as_rendered
 from ..error_budget.budget import ENTRY_BYTES, Budget, Savings
 from ..error_budget.error_estimate import CONFIDENCE
 from ..error_budget.search import Search
@@ -55,7 +56,7 @@ def search(
     def kept(cull: np.ndarray) -> np.ndarray:
         keep = np.zeros(len(judge.scene.instances), bool)
         keep[ids[~cull]] = True
-        return keep
+        return as_rendered(judge.loop.tracer, keep)
 
     def without(cull: np.ndarray, only: NDArray[np.uint8]) -> PathLog:
         keep = kept(cull)
