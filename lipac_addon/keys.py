@@ -72,21 +72,25 @@ def removal_of(records: Records) -> Removal | None:
     An object that is hidden takes all with it that shows or makes it; parts of what an object instances go with the
     object, too; rows of geometry nodes go with all that is nested in them; particles with all of their emitter.
     """
-    kind, host, shown = (records[name].astype(np.int64) for name in ("kind", "host", "object"))
-    nodes, row, deep = kind == Kind.GEOMETRY_NODES, records["path"][:, 0], records["path"][:, 1] >= 0
+    nodes = records["kind"] == Kind.GEOMETRY_NODES
+    chosen = np.arange(len(records)) if _nested(records, nodes) else np.flatnonzero(~nodes)
+    kind, host, shown = (records[name][chosen].astype(np.int64) for name in ("kind", "host", "object"))
+    nodes, row, deep = nodes[chosen], records["path"][chosen, 0], records["path"][chosen, 1] >= 0
     names = int(max(host.max(initial=-1), shown.max(initial=-1))) + 1
     part = (kind == Kind.COLLECTION) | (kind == Kind.DUPLI)
     hidden = np.where((kind == Kind.OBJECT) | part | (nodes & deep), shown, -1)
     other = np.where(part, host, -1)
     particle = (kind == Kind.PARTICLE) & (host >= 0)
     other[particle] = names + host[particle]
-    code = (host << 32 | row)[nodes]
-    if deep[nodes].any() or (code[1:] == code[:-1]).any():  # else each row shows one thing
-        other[nodes] = 2 * names + np.unique(code, return_inverse=True)[1]
+    other[nodes] = 2 * names + np.unique((host << 32 | row)[nodes], return_inverse=True)[1]
     groups = np.stack([hidden, other])
     size = np.bincount(groups[groups >= 0])
-    shared = (np.append(size, 0)[groups] > 1).any(axis=0)
-    if not shared.any():
-        return None
-    rows = np.flatnonzero(shared)
-    return Removal(rows, groups[:, rows].astype(np.int32))
+    shared = np.flatnonzero((np.append(size, 0)[groups] > 1).any(axis=0))
+    return Removal(chosen[shared], groups[:, shared].astype(np.int32)) if len(shared) else None
+
+
+def _nested(records: Records, nodes: NDArray[np.bool_]) -> bool:
+    """Whether a row of geometry nodes shows several things. Those of one follow each other."""
+    host, row, deep = records["host"], records["path"][:, 0], records["path"][:, 1] >= 0
+    same = (row[1:] == row[:-1]) & nodes[1:] & nodes[:-1]
+    return bool((deep & nodes).any() or (same.any() and (same & (host[1:] == host[:-1])).any()))
