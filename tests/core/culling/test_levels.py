@@ -207,16 +207,16 @@ def test_a_divided_mesh_comes_back_whole_where_that_is_coarser() -> None:
 
 def test_what_levels_do_not_use_is_for_culling(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no proposal holds, what stays is what stays without levels, or hardly more: they share the doubt. The
-    median of three seeds, for one in six has a set that is a fourth larger."""
+    median of five seeds, for one in six has a set that is a fourth larger."""
     monkeypatch.setattr(Certificate, "judge_exchanged", lambda *_: HOPELESS)
     scene, more = posts(), []
-    for seed in range(3):
+    for seed in range(5):
         options = dataclasses.replace(OPTIONS, seed=seed)
         whole = analyze(scene, dataclasses.replace(options, levels=False))
         result = analyze(scene, options)
         assert not result.stand_ins
         more.append(result.stats["active"] / whole.stats["active"])
-    assert np.median(more) <= 1.1
+    assert np.median(more) <= 1.05
     tighter = Budget(CULLING * OPTIONS.max_error.mean, CULLING * OPTIONS.max_error.worst)
     less = analyze(scene, dataclasses.replace(options, levels=False, max_error=tighter))
     assert result.stats["active"] < less.stats["active"]
