@@ -25,7 +25,7 @@ from ..scene.model import RAY_TYPES
 from .analysis import by_budget, decide, kept_of, units_measured
 from .certificate import Certificate
 from .division import Division
-from .frame_tracer import with_twins, without_bound
+from .frame_tracer import as_rendered, with_twins, without_bound
 from .levels.exchange import with_levels
 from .levels.levelled import has_levels, proposed_levels
 from .levels.stand_ins import Alternative, Coarser, StandIn
@@ -113,6 +113,7 @@ def check(
     """
     _begin(loop, keep | met, faces)
     stays = (np.append(keep, np.tile([True, False], len(faces))) & loop.activation.exists) | loop.activation.pinned
+    stays = as_rendered(loop.tracer, stays)
     confidence = 1 - doubt_of(earlier)
     samples = np.full(TILES, max(-(-loop.first_samples // FEWER), LEAST_PATHS))
     judge = Certificate(loop, CHECKS_FROM + earlier * CHECK_SAMPLES, samples, loop.options.max_error, confidence)

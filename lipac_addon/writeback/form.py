@@ -10,16 +10,11 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-# of an attribute's values, by its type: name, numbers of each, their type
-VALUES: dict[str, tuple[str, int, type]] = {
-    "FLOAT": ("value", 1, np.float32),
-    "INT": ("value", 1, np.int32),
-    "BOOLEAN": ("value", 1, np.bool_),
+from ..attributes import FIELDS
+
+VALUES = FIELDS | {  # of all types of attributes
     "INT8": ("value", 1, np.int32),
-    "FLOAT_VECTOR": ("vector", 3, np.float32),
     "FLOAT2": ("vector", 2, np.float32),
-    "FLOAT_COLOR": ("color", 4, np.float32),
-    "BYTE_COLOR": ("color", 4, np.float32),
     "INT16_2D": ("value", 2, np.int32),
     "INT32_2D": ("value", 2, np.int32),
     "QUATERNION": ("value", 4, np.float32),

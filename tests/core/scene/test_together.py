@@ -105,15 +105,23 @@ def test_what_is_taken_out_together_against_a_plain_search() -> None:
             assert Removal(rows, groups).staying(keep).tolist() == wanted.tolist()
 
 
-def test_a_set_is_judged_with_what_cannot_be_taken_out() -> None:
-    """A bright thing that nothing but a dark one hides, both of one row of a scatter: where the dark one stays, so does
-    the bright one, although no path meets it, and nothing is certified without it."""
-    places = [scenes.placed((0.7 * k - 2, 0, 0.5), 0.4) for k in range(6)]
-    below = [scenes.placed((0.7 * k - 2, 0, -3), 0.4) for k in range(6)]
-    ground = (1, scenes.placed((0, 0, 0), 40.0), 0)
-    scene = scenes.build([scenes.cube(), scenes.quad()], [ground, *((0, p, 0) for p in (*places, *below))])
-    pairs = Removal(np.arange(1, 13), np.tile(np.arange(6, dtype=np.int32), 2)[None])
-    options = CullOptions(max_error=Budget(0.001, 0.005))
-    alone, together = analyze(scene, options), analyze(dataclasses.replace(scene, removal=pairs), options)
-    assert alone.active.tolist() == [True] * 7 + [False] * 6
-    assert together.active.all()
+@pytest.mark.parametrize("paired", [False, True])
+def test_a_set_is_judged_with_what_cannot_be_taken_out(paired: bool) -> None:
+    """Screens of their wall's colour, and bright cards that nothing but these hide: both may go. Where each hidden card
+    is taken out with one in view alone, it stays, and so does its screen, for the picture would show it."""
+
+    def card(x: float, y: float, z: float, size: float) -> np.ndarray:
+        return np.array([[size, 0, 0, x], [0, 0, -1, y], [0, size, 0, z]], np.float32)
+
+    columns = (-3, -1, 1, 3)
+    screens, hidden = ([card(x, y, 0.3, size) for x in columns] for y, size in ((0, 1.0), (0.5, 0.6)))
+    seen = [card(x, 0, 1.9, 0.6) for x in columns]
+    placement = [*((0, p, 0) for p in screens), *((0, p, 1) for p in (*hidden, *seen)), (0, card(0, 3, 0, 40), 0)]
+    colors = [scenes.material(base_color=0.05), scenes.material(base_color=0.8)]
+    scene = scenes.build([scenes.quad()], placement, colors, camera=scenes.look_at((0, -8, 1), (0, 0, 1)))
+    if paired:
+        pairs = np.tile(np.arange(4, dtype=np.int32), 2)[None]
+        scene = dataclasses.replace(scene, removal=Removal(np.arange(4, 12), pairs))
+    stays = analyze(scene, CullOptions(max_error=Budget(0.05, 0.5))).active
+    assert stays[8:].all()
+    assert stays[:8].all() if paired else not stays[4:8].any() and not stays[:4].all()
